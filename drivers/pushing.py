@@ -17,6 +17,11 @@ MOST_WAITING = 64
 """Rows that may wait for the consumer; of more the oldest are dropped, and told."""
 FEWEST_PERIODS = 0.5
 """A row that is measured sooner after the one before it is left out."""
+GOING_ON_PERIODS = 2.0
+"""After a longer silence a set of single numbers that is whole waits for half a period, and after the one before it as
+long: a device that was cut off sends first what it has kept meanwhile."""
+GOING_ON_REAL_S = 1.0
+"""But a shorter silence is none, even on a fast simulated clock."""
 SILENT_PERIODS = 3.0
 """Without anything for so many cycle periods the source is given up, to be opened anew."""
 MIN_SILENT_REAL_S = 2.0
@@ -36,6 +41,7 @@ class PushedSource(RowSource):
         self._dropped = 0
         self._single: dict[int | str, float | NoReading] = {}
         self._single_since: Instant | None = None
+        self._single_from_s = self._newest_s = -math.inf
         self._problems: deque[str] = deque(maxlen=MOST_WAITING)
         self._heard_s = 0.0
         self._wake = asyncio.Event()
@@ -59,9 +65,17 @@ class PushedSource(RowSource):
         self._rows.append((readings, measured))
 
     def put(self, key: int | str, reading: float | NoReading) -> None:
-        """Take one sensor's number; those of one cycle period make a cycle, the newest of each sensor."""
+        """Take one sensor's number; those of one cycle period make a cycle, the newest of each sensor.
+
+        Many at once make one cycle too: they are of nobody knows when, but for the newest.
+        """
+        now = self._clock.now()
         if self._single_since is None:
-            self._single_since = self._clock.now()
+            self._single_since, apart_s = now, FEWEST_PERIODS * self._source.cycle_period_s
+            going_on_s = max(GOING_ON_PERIODS * self._source.cycle_period_s, GOING_ON_REAL_S * self._clock.speed)
+            silent = now.monotonic_s - self._newest_s > going_on_s
+            self._single_from_s = max(now.monotonic_s + silent * apart_s, self._row_s + apart_s)
+        self._newest_s = now.monotonic_s
         self._single[key] = reading
         self.heard()
 
@@ -111,12 +125,17 @@ class PushedSource(RowSource):
             readings, measured = self._rows.popleft()
             rows.append(self._row(readings, measured))
         since = self._single_since
-        if since is not None and (
-            len(self._single) == len(self._source.inputs) or self._left_real_s(since.real_s, 1.0) <= 0
-        ):
+        if since is not None and self._left_of_single_real_s(since) <= 0:
             single, self._single, self._single_since = self._single, {}, None
+            self._row_s = max(since.monotonic_s, self._single_from_s)
             rows.append(self._row(single, since))
         return rows
+
+    def _left_of_single_real_s(self, since: Instant) -> float:
+        """Return how long what has come since then may still wait for the rest of it [s]: its period when not whole."""
+        whole = len(self._single) == len(self._source.inputs)
+        periods = (self._single_from_s - since.monotonic_s) / self._source.cycle_period_s if whole else 1.0
+        return self._left_real_s(since.real_s, periods)
 
     def _row(self, readings: Readings, measured: Instant) -> Row:
         problems, lost = tuple(self._problems), self._dropped
@@ -139,7 +158,7 @@ class PushedSource(RowSource):
         if silent_s <= 0:
             raise LinkError(f"source {self.name}: {self.silent()}")
         since = self._single_since
-        wait_s = silent_s if since is None else min(silent_s, self._left_real_s(since.real_s, 1.0))
+        wait_s = silent_s if since is None else min(silent_s, self._left_of_single_real_s(since))
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(max(wait_s, 0.0)):
                 await self._wake.wait()

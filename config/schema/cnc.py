@@ -269,6 +269,11 @@ class CncConfig(CncDriverConfig):
         """Whether the control is a SINUMERIK, whose R parameters are the macro variables."""
         return self.opcua is not None and self.opcua.preset == "sinumerik"
 
+    @property
+    def takes_slopes(self) -> bool:
+        """Whether this control's guard applies a slope along an axis."""
+        return self.driver in ("opcua", "focas", "linuxcnc")
+
     @model_validator(mode="after")
     def _guard_of_the_control(self) -> "CncConfig":
         wanted = "sinumerik" if self.is_sinumerik else "linuxcnc" if self.driver == "linuxcnc" else "fanuc"

@@ -40,8 +40,8 @@ class GuardConfig(Section):
     )
     memory: Annotated[int, Field(ge=500, le=999)] = Field(
         590,
-        description=f"first macro of the guard's own memory, {SHARED_MEMORY} and one per axis; survives power-off, "
-        "outside `writable`",
+        description=f"first macro of the guard's own memory, {SHARED_MEMORY} and one per axis; with slopes, but on a "
+        "SINUMERIK, one more and one per slope; survives power-off, outside `writable`",
     )
     shown: Annotated[int, Field(ge=500, le=998)] = Field(
         580,
@@ -92,6 +92,7 @@ class GuardConfig(Section):
             raise KeyProblems(problems)
         return self
 
-    def memory_of(self, axes: int) -> range:
-        """Return the macros of the memory for so many axes."""
-        return range(self.memory, self.memory + SHARED_MEMORY + axes)
+    def memory_of(self, axes: int, slopes: int = 0) -> range:
+        """Return the macros of the memory for so many axes, of which so many are slopes."""
+        places = slopes + 1 if slopes and self.dialect != "sinumerik" else 0
+        return range(self.memory, self.memory + SHARED_MEMORY + axes + places)

@@ -1,5 +1,7 @@
 """Turns axes, bounds and commissioned factors of the configuration into arrays and records for the control law."""
 
+import hashlib
+import json
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -105,8 +107,13 @@ def guard_programs(configuration: Configuration) -> frozenset[int]:
     return frozenset(range(first, first + GUARD_PROGRAMS)) | ({speed.program} if speed is not None else set())
 
 
-def reference_rules(configuration: Configuration, clock_speed: float) -> ReferenceRules:
-    """Return where the work is positioned, and which gap between two polls may hide that."""
+def reference_rules(
+    configuration: Configuration, clock_speed: float, um_per_unit: Mapping[str, float]
+) -> ReferenceRules:
+    """Return where the work is positioned, and which gap between two polls may hide that.
+
+    `um_per_unit`: movement per unit of the macro value of each axis [um].
+    """
     reference = configuration.compensation.reference
     dwell_s = reference.positioning_dwell_s or DWELL_POLLS * configuration.cnc.poll_period_s
     if clock_speed != 1.0:  # only the simulated machine takes such a clock
@@ -121,7 +128,27 @@ def reference_rules(configuration: Configuration, clock_speed: float) -> Referen
         answer_within_s=ANSWER_REAL_S * clock_speed,
         max_outage_s=reference.max_outage_s,
         guard_programs=guard_programs(configuration),
+        counts_with=_counts_with(configuration, um_per_unit),
     )
+
+
+def _counts_with(configuration: Configuration, um_per_unit: Mapping[str, float]) -> dict[str, str]:
+    """Return what the numbers mean that are kept of a reference: they stand in the order of the sensors."""
+    temperatures = configuration.temperatures
+    read = [
+        (
+            each.name,
+            getattr(each, "id_offset", 0),
+            each.sensor_ids,
+            [sensor.model_dump(mode="json") for sensor in getattr(each, "sensors", ())],
+        )
+        for each in temperatures.inputs
+    ]
+    sensors = json.dumps([temperatures.sensor_ids, read])
+    return {
+        "the list of sensors or what one of them reads": hashlib.sha256(sensors.encode()).hexdigest(),
+        "the commissioned movement per macro value": json.dumps(dict(um_per_unit)),
+    }
 
 
 def positioning_macros(configuration: Configuration) -> tuple[int, ...]:

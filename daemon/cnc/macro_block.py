@@ -71,14 +71,18 @@ class MacroBlock:
         slack_um: float = ECHO_SLACK_UM,
         guard: GuardConfig | None = None,
         also_polled: Iterable[int] = (),
+        pivots_mm: Mapping[str, float] | None = None,
     ) -> None:
         """`guard` says what an expired block does; without it an expired block keeps what is applied."""
+        self._pivots_mm = pivots_mm
         self.slack_um = slack_um
         """Allowed between the echo and what explains it [um]; the control rounds to its least increment."""
         self._map = macros
         self._guard = guard
         self._axes = tuple(axes)
         self._um_per_unit = np.array([macros.unit_um * factors.get(axis, 1.0) for axis in axes])
+        self.um_per_unit = dict(zip(self._axes, self._um_per_unit.tolist(), strict=True))
+        """Movement per unit of the macro value by axis [um]."""
         self.ours = (
             macros.sequence_a,
             *(macros.values[axis] for axis in axes),
@@ -113,7 +117,7 @@ class MacroBlock:
         content += [(self._map.valid_until, tenths / PER_SECOND), (self._map.enable, float(bits))]
         if self._map.check is not None:
             held = {**dict(content), self._map.sequence_b: float(sequence)}
-            content.append((self._map.check, block_check(self._map, self._axes, held)))
+            content.append((self._map.check, block_check(self._map, self._axes, held, self._pivots_mm)))
         return (
             ((self._map.sequence_a, float(sequence)),),
             tuple(content),

@@ -41,7 +41,14 @@ class CommissioningLink:
         self._macros = configuration.cnc.macros
         self._speed = configuration.spindle_speed.macros if configuration.spindle_speed is not None else None
         axes = tuple(configuration.compensation.axes)
-        self.block = MacroBlock(self._macros, axes, {}, echo_slack_um(configuration), configuration.cnc.guard)
+        self.block = MacroBlock(
+            self._macros,
+            axes,
+            {},
+            echo_slack_um(configuration),
+            configuration.cnc.guard,
+            pivots_mm=configuration.compensation.pivots_mm,
+        )
         self._cnc: Cnc | None = None
         self.identity = ""
         self.security: Security = "insecure"

@@ -25,6 +25,10 @@ GUARD_SAYS: dict[int, str] = {
     "and map of the macros disagree",
     GuardStatus.SWITCHED_OFF: "the control does not act on SD43900 (status 11): set bit 0 of MD32750, and MD32760 "
     "above 0, for every axis that is compensated",
+    GuardStatus.PLACE: "nothing was moved, of any axis: one with a slope stands outside its travel, or the control "
+    "does not say where (status 12): bring it into its slope.travel_mm, then call the guard again",
+    GuardStatus.NEARING: "the slope is on its way to where the axis stands now, a step for each call (status 13): "
+    "leave the axis where it stands",
     GuardStatus.UNSETTLED: "the external offset was changed in between (status 9): run the initialise program in MDI",
 }
 """What a guard that does not apply the block says by its status."""
@@ -81,6 +85,17 @@ class Movement:
             station.target_um = wanted_um
             await station.written()
             await self._wait_for_applied(wanted_um)
+
+    async def arrived(self) -> None:
+        """Wait until the guard has brought every slope to where its axis stands."""
+        station = self._station
+        await station.next_beat()
+        if station.echo.status == GuardStatus.NEARING:
+            self._dialogue.say(f"The guard ran, and {GUARD_SAYS[GuardStatus.NEARING]}. {CALL_THE_GUARD}")
+        await self._wait_for_guard(
+            lambda: station.echo.status != GuardStatus.NEARING,
+            lambda: "the slope has not reached where the axis stands",
+        )
 
     async def _wait_for_applied(self, wanted_um: FloatArray) -> None:
         station = self._station

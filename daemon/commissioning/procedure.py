@@ -242,9 +242,11 @@ class Commissioning:
             f"against {positions[0]:g} mm; read at both by {self._instruments.observed_by(axis)}."
         )
 
+        arrived = None if self._configuration.cnc.is_sinumerik else self._movement.arrived
+
         async def read(moment: Moment) -> dict[str, Reading]:
             self._refuse_motion(axis, moment)
-            readings = await read_at(axis, limits, moment, positions, self._instruments, self._dialogue)
+            readings = await read_at(axis, limits, moment, positions, self._instruments, self._dialogue, arrived)
             await station.next_beat()
             self._refuse_motion(axis, moment)
             refuse_noise(axis, moves_um, readings[axis])

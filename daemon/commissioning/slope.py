@@ -1,7 +1,7 @@
 """Commissions a slope at two positions of its axis: it moves the reading at the second against that at the first."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping
 
 from config.records.commissioning import LEAST_PROOF_UM
 from config.schema.compensation import AxisConfig
@@ -63,16 +63,28 @@ def slope_to_write(name: str, axis: AxisConfig, offset_um: float, positions: Pos
 
 
 async def read_at(
-    name: str, axis: AxisConfig, moment: Moment, positions: Positions, instruments: Instruments, dialogue: Dialogue
+    name: str,
+    axis: AxisConfig,
+    moment: Moment,
+    positions: Positions,
+    instruments: Instruments,
+    dialogue: Dialogue,
+    arrived: Callable[[], Awaitable[None]] | None = None,
 ) -> dict[str, Reading]:
-    """Return the reading at the second position minus that at the first, a person having brought the axis there."""
+    """Return the reading at the second position minus that at the first, a person having brought the axis there.
+
+    `arrived` waits for a guard that has to be called at each position, because the slope counts for one place there.
+    """
     slope = axis.slope
     assert slope is not None
     taken = []
     for at_mm in positions:
-        question = f"Does {slope.of} stand at {at_mm:g} mm (machine), the instrument in place, {WORDS[moment]}?"
+        called = " and was the guard called there" if arrived is not None and moment is Moment.AT_OFFSET else ""
+        question = f"Does {slope.of} stand at {at_mm:g} mm (machine){called}, the instrument in place, {WORDS[moment]}?"
         if not await dialogue.confirm(question):
             raise CommissioningRefusedError(f"you said no to: {question}")
+        if arrived is not None:
+            await arrived()
         taken.append((await instruments.take(name, moment, (name,)))[name])
     first, second = taken
     noise_um = [reading.noise_um for reading in taken if reading.noise_um is not None]

@@ -38,6 +38,13 @@ MISSING = frozenset({"", "nan", "NaN", "NAN", "NA"})
 MAX_FIELDS = 4096
 """A recording has hundreds of columns; more means that the file is something else."""
 METADATA_MARK = "#"
+SEPARATOR_LINE = "sep="
+"""Spreadsheets begin a file with it; it says nothing that the header does not."""
+FEWEST_COLUMNS = 3
+"""A recording has a time, a temperature and a displacement."""
+MOST_BEFORE_HEADER = 100
+"""In so many lines after a first one that is no header, one is looked for."""
+HOUR_S = 3600.0
 FIRST_ROW = 2
 """Line of the row after the header, where nothing stands before it."""
 
@@ -77,6 +84,7 @@ def read_beginning(path: Path, rows: int, encoding: str = "utf-8") -> tuple[list
     place = _Place(path)
     with _opened(place, encoding) as lines:
         header, delimiter = _header(place, lines)
+        _require_names(place, header, lines)
         reader = csv.reader((line for line in lines if line.strip()), delimiter=delimiter)
         try:
             return header, [[text.strip() for text in fields] for fields in islice(reader, rows)]
@@ -100,6 +108,7 @@ def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Rec
     place = _Place(path)
     with _opened(place, "utf-8" if recording_map is None else recording_map.encoding) as lines:
         header, delimiter = _header(place, lines)
+        _require_names(place, header, lines)
         try:
             recording_map = recording_map or usual_map(header)
             columns = resolve_columns(recording_map, header)
@@ -181,7 +190,10 @@ class _opened:
             self._place.line += 1
             byte = f" (byte {error.object[error.start]:#04x})" if isinstance(error, UnicodeDecodeError) else ""
             name = "UTF-8" if self._encoding == "utf-8-sig" else self._encoding
-            sentence = f"is not {name} at or after this line{byte}; save it as UTF-8, or name its encoding in the map"
+            sentence = (
+                f"is not {name} at or after this line{byte}; save it as UTF-8, or name its encoding in the map, which "
+                "`toolpoint thermal train --map-out map.yaml` proposes"
+            )
             raise EncodingError(str(self._place.refuse(sentence))) from error
         except OSError as error:
             raise self._place.refuse(f"cannot be read ({error.strerror})") from error
@@ -213,7 +225,7 @@ def _quoted(name: str) -> str:
 
 def _header(place: _Place, lines: Iterator[str]) -> tuple[list[str], str]:
     line = next(lines, "")
-    while line.startswith(METADATA_MARK):
+    while line.startswith(METADATA_MARK) or line.lower().startswith(SEPARATOR_LINE):
         line = next(lines, "")
     if not line.strip():
         raise place.refuse("has no header row with the names of its columns")
@@ -226,6 +238,20 @@ def _header(place: _Place, lines: Iterator[str]) -> tuple[list[str], str]:
     if all(_is_number(name) for name in names if name):
         raise place.refuse("begins with numbers; the first row must hold the names of the columns")
     return names, delimiter
+
+
+def _require_names(place: _Place, header: list[str], lines: Iterator[str]) -> None:
+    """Refuse a first line that cannot be the header, naming the line that seems to be it."""
+    if len([name for name in header if name]) >= FEWEST_COLUMNS:
+        return
+    first, text = place.line, next((name for name in header if name), "")
+    for line in islice(lines, MOST_BEFORE_HEADER):
+        if len([field for field in line.split(max(DELIMITERS, key=line.count)) if field.strip()]) >= FEWEST_COLUMNS:
+            found, place.line = place.line, first
+            raise place.refuse(
+                f"{text[:40]!r} does not look like the names of the columns; where line {found} holds them, take out "
+                f"the lines before it, or begin each with {METADATA_MARK}"
+            )
 
 
 def _encoding_hint(header: list[str]) -> str:
@@ -284,16 +310,29 @@ def _rows(place: _Place, lines: Iterator[str], form: _Form) -> tuple[FloatArray,
             )
         times.append(_time(place, form, fields, read_time))
         if len(times) > 1 and times[-1] <= times[-2]:
-            raise place.refuse(
-                f"{fields[columns.time].strip()!r} does not come after the row before; sort the rows, and split "
-                "the file where the logger was restarted",
-                header[columns.time],
-            )
+            text = fields[columns.time].strip()
+            sentence = _disorder(times, local=form.recording_map.local_times)
+            raise place.refuse(f"{text!r} does not come after the row before; {sentence}", header[columns.time])
         table.append(_numbers(place, header, fields, wanted, decimal))
     if not times:
         raise place.refuse("holds no rows after its header")
     time_s = np.array(times)
     return time_s - time_s[0], np.array(table)
+
+
+def _disorder(times: list[float], *, local: bool) -> str:
+    """Return what to do where the last of the times does not come after the one before.
+
+    `local`: they are times of day without a zone.
+    """
+    back_s = times[-2] - times[-1]
+    if back_s == 0.0:
+        return "the same time stands twice: take one of the two rows out, or write times with seconds"
+    if len(times) == 2:
+        return "where the rows run from the newest to the oldest, sort them by time"
+    if local and back_s <= HOUR_S:
+        return "where clocks were set back to winter time there, say time_zone in the map; else sort the rows"
+    return "sort the rows, and split the file where the logger was restarted"
 
 
 def _time(place: _Place, form: _Form, fields: list[str], read_time: TimeReader) -> float:
@@ -309,6 +348,8 @@ def _time(place: _Place, form: _Form, fields: list[str], read_time: TimeReader) 
     except (ValueError, OverflowError):
         time_s = math.nan
     if not math.isfinite(time_s):
+        if [field.strip() for field in fields] == form.header:
+            raise place.refuse("the names of the columns come again; split the file where the logger was restarted")
         wanted = form.recording_map.time_format
         sentence = "in the unit that the map gives" if wanted is None else f"of the form {wanted} that the map gives"
         if (

@@ -9,13 +9,28 @@ PER_SECOND = 10
 """valid_until counts to this part of a second."""
 
 
-def block_check(macros: MacroMapConfig, axes: Iterable[str], held: Mapping[int, float | None]) -> float:
+PIVOT_PER_MM = 10
+"""The pivot of a slope counts to this part of a millimetre."""
+
+
+def pivot_check(place: int, pivot_mm: float) -> int:
+    """Return what the pivot of a slope adds to the check; `place` is that of its entry, counted from 1."""
+    return place * round(pivot_mm * PIVOT_PER_MM)
+
+
+def block_check(
+    macros: MacroMapConfig,
+    axes: Iterable[str],
+    held: Mapping[int, float | None],
+    pivots_mm: Mapping[str, float] | None = None,
+) -> float:
     """Return the check that fits what these macros hold; what is vacant counts as 0, as in a custom macro.
 
     Every part is a whole number, and so is the sum: the sequence number, the enable bits, valid_until in tenths of a
-    second, and each value in nanometres times the place of its axis, counted from 1. With the bounds that the
-    configuration allows the sum stays below 1e8, so that a custom macro which computes with eight digits makes it
-    exactly. One foreign value changes the sum by its own change, and two values that are exchanged change it too.
+    second, and each value in nanometres times the place of its axis, counted from 1, with the pivot where it is a
+    slope. With the bounds that the configuration allows the sum stays below 1e8, so that a custom macro which computes
+    with eight digits makes it exactly. One foreign value changes the sum by its own change, and two values that are
+    exchanged change it too.
     """
 
     def value(number: int) -> float:
@@ -25,6 +40,8 @@ def block_check(macros: MacroMapConfig, axes: Iterable[str], held: Mapping[int, 
     total = value(macros.sequence_b) + value(macros.enable) + _whole(value(macros.valid_until) * PER_SECOND)
     for place, axis in enumerate(axes, start=1):
         total += place * _whole(value(macros.values[axis]) * nm_per_unit)
+        if pivots_mm and axis in pivots_mm:
+            total += pivot_check(place, pivots_mm[axis])
     return total
 
 

@@ -34,7 +34,7 @@ IF[#{pending}EQ0]GOTO90200
 IF[#{pending}EQ{number}]GOTO{settle}
 @end
 GOTO90290
-@axes
+@offsets
 N{settle}#21=#{planned}(DONE)
 IF[ABS[#{offset}-#{after}]LT{half}]GOTO{settled}
 #21=#{planned}-#{after}+#{before}(NOT DONE)
@@ -46,6 +46,18 @@ N{settled}#{echo}=#21{per_unit}
 #{pending}=0
 GOTO90200
 @end
+@slopes
+N{settle}
+IF[ABS[#{offset}-#{after}]LT{half}]GOTO{settled}
+IF[ABS[#{offset}-#{before}]LT{half}]GOTO{undone}
+#8=9
+GOTO90300
+N{settled}#{mirror}=#{planned}(DONE)
+#{place}=#{planned_place}
+N{undone}#{echo}=#{mirror}{per_unit}
+#{pending}=0
+GOTO90200
+@end
 (IS THE MEMORY WHOLE)
 N90200
 @axes
@@ -53,6 +65,10 @@ IF[#{echo}EQ#0]GOTO90290
 IF[#{mirror}EQ#0]GOTO90290
 IF[ABS[#{echo}{to_mm}-#{mirror}]GT{half}]GOTO90290
 IF[ABS[#{mirror}]GT{bound_slack}]GOTO90290
+@end
+@slopes
+IF[#{place}EQ#0]GOTO90290
+IF[ABS[#{place}]GT{reach_slack}]GOTO90290
 @end
 GOTO90300
 N90290#8=8
@@ -95,10 +111,19 @@ N{judged}
 #23=#1+#4+ROUND[#3*{per_second}]
 @end
 @check_axes
-#23=#23+{number}*ROUND[#{local}{to_mm}*{nm_per_mm}]
+#23=#23+{number}*ROUND[#{local}{to_mm}*{nm_per_mm}]{pivot_check}
 @end
 @check
 IF[#22NE#23]GOTO90595
+@end
+@slopes
+(A SLOPE COUNTS FOR WHERE THE AXIS STANDS, WHICH MUST BE IN ITS TRAVEL)
+IF[[FIX[#4/{bit}]AND1]EQ0]GOTO{placed}
+#24=#{position}
+IF[#24EQ#0]GOTO90592
+IF[#24LT{lowest}]GOTO90592
+IF[#24GT{highest}]GOTO90592
+N{placed}
 @end
 GOTO90600
 (EXPIRED. A BLOCK THAT HAS EXPIRED ONCE NEVER COUNTS AGAIN)
@@ -116,7 +141,7 @@ GOTO90800(POLICY KEEP)
 @end
 (APPLY THE DIFFERENCE, AXIS BY AXIS, EACH WRITTEN AHEAD)
 N90600
-@axes
+@offsets
 IF[[FIX[#4/{bit}]AND1]EQ0]GOTO{applied}
 #20=#{mirror}(APPLIED)
 #21=ROUND[#{local}{to_mm}/{increment}]*{increment}
@@ -139,6 +164,51 @@ IF[ABS[#{offset}-#{after}]GT{half}]GOTO90590
 #{pending}=0
 N{applied}
 @end
+@slopes
+IF[[FIX[#4/{bit}]AND1]EQ0]GOTO{applied}
+#20=#{mirror}(APPLIED, MM PER M)
+#24=#{position}-[{pivot}](PLACE)
+IF[#7EQ3]THEN#24=#{place}
+#25=ROUND[#20*#{place}/1000./{increment}]*{increment}(ITS MM)
+IF[#25GT{most}]THEN#25={most}
+IF[#25LT-{most}]THEN#25=-{most}
+#21=ROUND[#{local}{to_mm}/{increment}]*{increment}
+IF[#21GT{bound}]THEN#21={bound}
+IF[#21LT-{bound}]THEN#21=-{bound}
+#21=#21-#20
+IF[#21GT{step}]THEN#21={step}
+IF[#21LT-{step}]THEN#21=-{step}
+#26=ROUND[[#20+#21]/{increment}]*{increment}
+(WHAT IS LEFT OF THE STEP GOES TOWARDS THE PLACE)
+#27={place_step}-ABS[[#26-#20]*#{place}/1000.]
+IF[#27LT0]THEN#27=0
+#28=#24-#{place}
+#29=ABS[#26*#28/1000.]
+IF[#29LE#27]GOTO{there}
+#28=#28*#27/#29
+#7=13
+N{there}
+#28=#{place}+#28
+#21=ABS[#26-#20]+ABS[#28-#{place}]
+IF[#21LT{half}]GOTO{applied}
+#{planned}=#26
+#{planned_place}=#28
+#21=ROUND[#26*#28/1000./{increment}]*{increment}
+IF[#21GT{most}]THEN#21={most}
+IF[#21LT-{most}]THEN#21=-{most}
+#21=#21-#25
+#{before}=#{offset}
+#{after}=#{before}+#21
+#{pending}={number}
+G90G10L2P0{letter}[#{offset}+#21]
+{stop}
+IF[ABS[#{offset}-#{after}]GT{half}]GOTO90590
+#{echo}=#{planned}{per_unit}
+#{mirror}=#{planned}
+#{place}=#{planned_place}
+#{pending}=0
+N{applied}
+@end
 GOTO90800
 N90510#7=1
 GOTO90800
@@ -153,6 +223,10 @@ GOTO90800
 N90580#7=#8
 GOTO90800
 N90590#7=9
+@placed
+GOTO90800
+N90592#7=12
+@end
 @check
 GOTO90800
 N90595#7=10
@@ -182,5 +256,10 @@ N90909{alarm9}(TOOLPOINT OFFSET UNSETTLED)
 @check
 GOTO90900
 N90910{alarm10}(TOOLPOINT CHECK DIFFERS)
+@end
+@placed
+GOTO90900
+N90912{alarm12}(TOOLPOINT OUTSIDE TRAVEL)
+N90913(STATUS 13, CALL AGAIN)
 @end
 N90900M99

@@ -21,6 +21,12 @@ N90020#{pending}=0
 #{mirror}=0
 #{echo}=0
 @end
+@slopes
+#{place}=0
+@end
+@placed
+#{planned_place}=0
+@end
 @request
 #{kind}=0
 #{axis}=0

@@ -65,6 +65,12 @@ o22 endif
 @axes
 #{mirror}=0
 @end
+@slopes
+#{place}=0
+@end
+@placed
+#{planned_place}=0
+@end
 #{magic}={magic_value}
 o20 endif
 (SETTLE WHAT AN ABORT INTERRUPTED. IS THE MEMORY WHOLE)
@@ -74,7 +80,7 @@ o30 elseif [#<_metric> EQ 1]
 @axes
 o31{number} if [#{pending} EQ {number}]
 o32{number} if [ABS[#{offset}-#{after}] LT {half}]
-#{mirror}=#{planned}
+#{mirror}=#{planned}{keep_place}
 #{pending}=0
 o32{number} elseif [ABS[#{offset}-#{before}] LT {half}]
 #{pending}=0
@@ -85,6 +91,11 @@ o31{number} endif
 o33{number} if [ABS[#{mirror}] GT {bound_slack}]
 #<trouble>=8
 o33{number} endif
+@end
+@slopes
+o34{number} if [ABS[#{place}] GT {reach_slack}]
+#<trouble>=8
+o34{number} endif
 @end
 o30 endif
 (JUDGE THE BLOCK)
@@ -120,11 +131,18 @@ o42{number} endif
 o44{number} if [[[FIX[#<enable>/{bit}] MOD 2] EQ 1] AND [ABS[#<v{number}>{to_mm}] GT {bound_tolerance}]]
 #<status>=5
 o44{number} endif
-#<sum>=[#<sum>+{number}*ROUND[#<v{number}>{to_mm}*{nm_per_mm}]]
+#<sum>=[#<sum>+{number}*ROUND[#<v{number}>{to_mm}*{nm_per_mm}]{pivot_check}]
 @end
 o45 if [[#<status> EQ 0] AND [ABS[#<check>-#<sum>] GT 0.5]]
 #<status>=10
 o45 endif
+@slopes
+(A SLOPE COUNTS FOR WHERE THE AXIS STANDS, WHICH MUST BE IN ITS TRAVEL)
+#<outside>=[[{position} LT {lowest}] OR [{position} GT {highest}]]
+o46{number} if [[#<status> EQ 0] AND [[FIX[#<enable>/{bit}] MOD 2] EQ 1] AND [#<outside>]]
+#<status>=12
+o46{number} endif
+@end
 o40 endif
 @zero
 (POLICY ZERO, STEP BY STEP. EVERY AXIS, BITS MAY BE FOREIGN)
@@ -139,7 +157,7 @@ o50 endif
 @end
 (APPLY THE DIFFERENCE, AXIS BY AXIS, EACH WRITTEN AHEAD)
 o60 if [[#<what> EQ 1] AND [[#<status> EQ 0] OR [[#<status> EQ 3] AND [{zero}]]]]
-@axes
+@offsets
 o61{number} if [[FIX[#<enable>/{bit}] MOD 2] EQ 1]
 #<d>=[ROUND[#<v{number}>{to_mm}/{increment}]*{increment}]
 o62{number} if [#<d> GT {bound}]
@@ -162,6 +180,44 @@ o66{number} if [ABS[#<d>] GE {half}]
 #{pending}={number}
 G10 L2 P1 {letter}[#{after}]
 #{mirror}=#{planned}
+#{pending}=0
+o66{number} endif
+o61{number} endif
+@end
+@slopes
+o61{number} if [[FIX[#<enable>/{bit}] MOD 2] EQ 1]
+#<to>=[{position}-[{pivot}]]
+o62{number} if [#<status> EQ 3]
+#<to>=#{place}
+o62{number} endif
+(MM OF THE SLOPE AT ITS PLACE)
+#<was>=[ROUND[#{mirror}*#{place}/1000/{increment}]*{increment}]
+#<was>=[[ABS[#<was>+{most}]-ABS[#<was>-{most}]]/2]
+#<d>=[ROUND[#<v{number}>{to_mm}/{increment}]*{increment}]
+#<d>=[[ABS[#<d>+{bound}]-ABS[#<d>-{bound}]]/2-#{mirror}]
+#<d>=[[ABS[#<d>+{step}]-ABS[#<d>-{step}]]/2]
+#<new>=[ROUND[[#{mirror}+#<d>]/{increment}]*{increment}]
+(WHAT IS LEFT OF THE STEP GOES TOWARDS THE PLACE)
+#<left>=[{place_step}-ABS[[#<new>-#{mirror}]*#{place}/1000]]
+o63{number} if [#<left> LT 0]
+#<left>=0
+o63{number} endif
+#<way>=[#<to>-#{place}]
+o64{number} if [ABS[#<new>*#<way>/1000] GT #<left>]
+#<way>=[#<way>*#<left>/ABS[#<new>*#<way>/1000]]
+#<status>=13
+o64{number} endif
+o66{number} if [ABS[#<new>-#{mirror}]+ABS[#<way>] GE {half}]
+#{planned}=#<new>
+#{planned_place}=[ROUND[[#{place}+#<way>]*1000]/1000]
+#<d>=[ROUND[#<new>*#{planned_place}/1000/{increment}]*{increment}]
+#<d>=[[ABS[#<d>+{most}]-ABS[#<d>-{most}]]/2-#<was>]
+#{before}=#{offset}
+#{after}=[#{offset}+#<d>]
+#{pending}={number}
+G10 L2 P1 {letter}[#{after}]
+#{mirror}=#{planned}
+#{place}=#{planned_place}
 #{pending}=0
 o66{number} endif
 o61{number} endif
@@ -217,5 +273,5 @@ o80 endif
 o90 if [#<what> EQ 1]
 {alarms}
 o90 endif
-o<toolpoint> endsub
+o<toolpoint> endsub [#<status>]
 M2

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from config.records.commissioning import macro_map_digest
 from config.schema.cnc import CncConfig
 from config.schema.compensation import AxisConfig
-from config.schema.guard import SHARED_MEMORY, GuardConfig
+from config.schema.guard import GuardConfig
 from drivers.guard import text as fanuc
 from drivers.guard.check import PER_SECOND
 from drivers.guard.text import GuardStatus, GuardTextError, decimal
@@ -24,30 +24,33 @@ WORDS: Mapping[GuardStatus, str] = {
     GuardStatus.MEMORY: "TOOLPOINT MEMORY DAMAGED",
     GuardStatus.UNSETTLED: "TOOLPOINT OFFSET UNSETTLED",
     GuardStatus.CHECK: "TOOLPOINT CHECK DIFFERS",
+    GuardStatus.PLACE: "TOOLPOINT OUTSIDE TRAVEL",
 }
 
 
-def memory_of(guard: GuardConfig, axes: int) -> range:
+def memory_of(guard: GuardConfig, axes: Mapping[str, AxisConfig]) -> range:
     """Return the parameters that the guard keeps: as elsewhere, then the magic number and the count of requests."""
-    return range(guard.memory, guard.memory + SHARED_MEMORY + axes + 2)
+    memory = guard.memory_of(len(axes), sum(axis.slope is not None for axis in axes.values()))
+    return range(memory.start, memory.stop + 2)
 
 
 def linuxcnc_text(cnc: CncConfig, axes: Mapping[str, AxisConfig], *, machine: str = "") -> str:
     """Return the text of toolpoint.ngc; raises GuardTextError."""
     if cnc.driver != "linuxcnc":
         raise GuardTextError("cnc.guard.dialect linuxcnc is for cnc.driver linuxcnc")
-    fanuc.refuse_slopes(axes, cnc.guard)
     macros, guard, pins = cnc.macros, cnc.guard, Pins.of(cnc)
     pin = {**pins.inputs, **pins.outputs}
-    memory = memory_of(guard, len(axes))
+    memory = memory_of(guard, axes)
     rows = [
         row
         | {
             "value": str(pin[macros.values[name]]),
             "echo": str(pin[macros.echo_applied[name]]),
             "offset": str(FIRST_OFFSET + int(row["offset"]) - 5200),
+            "position": f"#<_abs_{row['letter'].lower()}>",
+            "keep_place": f"\n#{row['place']}=#{fanuc.planned_place(guard, len(axes))}" if "place" in row else "",
         }
-        for name, row in zip(axes, fanuc.axis_rows(macros, axes, guard), strict=True)
+        for name, row in zip(axes, fanuc.placed_rows(macros, axes, guard), strict=True)
     ]
     block = ("sequence_a", "sequence_b", "valid_until", "enable", "check")
     named = (*block, "echo_time", "echo_status", "echo_guard_version")
@@ -56,6 +59,7 @@ def linuxcnc_text(cnc: CncConfig, axes: Mapping[str, AxisConfig], *, machine: st
         **{name: str(pin[number]) for name, number in macros.request_macros.items()},
         **({} if macros.safe_flag is None else {"safe_flag": str(pin[macros.safe_flag])}),
         **{name: str(memory[place]) for place, name in enumerate(("pending", "planned", "before", "after"))},
+        "planned_place": str(fanuc.planned_place(guard, len(axes))),
         "magic": str(memory[-2]),
         "counted": str(memory[-1]),
         "first": str(memory[0]),
@@ -84,7 +88,7 @@ def linuxcnc_text(cnc: CncConfig, axes: Mapping[str, AxisConfig], *, machine: st
     }
     one: Sequence[Mapping[str, str]] = [{}]
     sections: dict[str, Sequence[Mapping[str, str]]] = {
-        "@axes": rows,
+        **fanuc.axis_sections(rows),
         "@zero": one if guard.on_expiry == "zero" else [],
         "@zero_axes": rows if guard.on_expiry == "zero" else [],
         "@request": one if macros.request is not None else [],
@@ -98,9 +102,7 @@ def _head(cnc: CncConfig, axes: Mapping[str, AxisConfig], machine: str, body: st
     """Yield the comments that say which machine, map and limits the text was made for."""
     yield f"(MACHINE {fanuc.comment(machine)})" if machine else "(MACHINE NOT NAMED)"
     yield f"(TEXT {fanuc.guard_digest(body)[:16].upper()} MAP {macro_map_digest(cnc.macros)[:16].upper()})"
-    for name, axis in axes.items():
-        bound, step = decimal(axis.absolute_bound_um / 1000.0), decimal(axis.step_um / 1000.0)
-        yield f"(AXIS {fanuc.comment(name)} BOUND {bound} STEP {step} MM)"
+    yield from fanuc.axis_comments(axes)
     yield f"(EXPIRED {cnc.guard.on_expiry.upper()}, AHEAD AT MOST {decimal(cnc.guard.max_validity_s)} S)"
 
 

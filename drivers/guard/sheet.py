@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from config.html_page import Section, html_page
 from config.schema import Configuration
 from config.schema.guard import SHARED_MEMORY, VACANT_R
-from drivers.guard.check import PER_SECOND
+from drivers.guard.check import PER_SECOND, pivot_check
 from drivers.guard.programs import guard_program
 from drivers.guard.text import (
     GUARD_VERSION,
@@ -150,18 +150,20 @@ def _words(configuration: Configuration) -> Words:
 def _offset(configuration: Configuration, axis: str) -> str:
     """Return what holds the offset of an axis on the control."""
     found = guard_axes(configuration.compensation.axes, configuration.cnc.guard)[axis]
-    if configuration.compensation.axes[axis].slope is not None:
+    sloped = configuration.compensation.axes[axis].slope is not None
+    if sloped and configuration.cnc.is_sinumerik:
         return f"$SA_TEMP_COMP_SLOPE[{found.letter}]"
-    return _words(configuration).offset.format(number=5200 + found.number, letter=found.letter)
+    offset = _words(configuration).offset.format(number=5200 + found.number, letter=found.letter)
+    return f"{offset}, by where the axis stands (#{5020 + found.number})" if sloped else offset
 
 
 def _macros(configuration: Configuration) -> Section:
     macros, guard = configuration.cnc.macros, configuration.cnc.guard
-    memory, v = guard.memory_of(len(configuration.compensation.axes)), _words(configuration).variable
+    memory, v = configuration.guard_memory, _words(configuration).variable
     rows: list[tuple[str, ...]] = [
         (_list(v, set(macros.block) - _nc_owned(configuration)), "daemon", "block"),
         (_list(v, _nc_owned(configuration)), "NC programs", "echo, request, flag"),
-        (f"{v}{memory[0]} to {v}{memory[-1]}", "guard alone", "memory: pending axis, planned, before, after, applied"),
+        (f"{v}{memory[0]} to {v}{memory[-1]}", "guard alone", _memory_in_words(configuration)),
     ]
     if guard.dialect == "sinumerik":
         rows.append((_list(v, {guard.shown, guard.shown + 1}), "NC programs", "clock, count of power-ons"))
@@ -171,6 +173,12 @@ def _macros(configuration: Configuration) -> Section:
         head=("macro", "written by", "what"),
         rows=tuple(rows),
     )
+
+
+def _memory_in_words(configuration: Configuration) -> str:
+    words = "memory: pending axis, planned, before, after, applied"
+    sloped = configuration.compensation.slopes and not configuration.cnc.is_sinumerik
+    return f"{words}, planned place, place of each slope" if sloped else words
 
 
 def _list(variable: str, numbers: set[int]) -> str:
@@ -202,7 +210,7 @@ def _limits(configuration: Configuration) -> Section:
 def _checks(configuration: Configuration) -> Section:
     guard = configuration.cnc.guard
     macros = configuration.cnc.macros
-    highest = max(*macros.block, guard.memory_of(len(macros.values))[-1])
+    highest = max(*macros.block, configuration.guard_memory[-1])
     rows = _checks_of_sinumerik(configuration) if guard.dialect == "sinumerik" else [
         ("custom macro B is there", "MDI: #1=1. runs without alarm"),
         (f"common variables up to #{highest}", "offset screen, macro page shows them"),
@@ -222,11 +230,26 @@ def _checks(configuration: Configuration) -> Section:
         ("offset changes by G10 are not locked", "data protection key, parameter 3290 [control]"),
         ("programs from O9000 are locked after loading", "parameter 3202 bit 4 (NE9) [control]"),
     ]  # fmt: skip
+    if guard.dialect == "fanuc":
+        rows += _checks_of_places(configuration)
     return Section(
         title="Check on the control",
         head=("what", "how", "seen"),
         rows=tuple((*row, "") for row in rows),
     )
+
+
+def _checks_of_places(configuration: Configuration) -> list[tuple[str, str]]:
+    """Return what must be so for the slopes that the guard puts in for where an axis stands."""
+    controlled = guard_axes(configuration.compensation.axes, configuration.cnc.guard)
+    return [
+        (
+            f"#{5020 + controlled[name].number} is the machine position of {controlled[name].letter} [mm]",
+            f"at both ends of the travel ({slope.travel_mm[0]:g} and {slope.travel_mm[1]:g} mm): read it, compare it "
+            "with the position display (MACHINE) [control]",
+        )
+        for name, slope in configuration.compensation.slopes.items()
+    ]
 
 
 def _checks_of_sinumerik(configuration: Configuration) -> list[tuple[str, str]]:
@@ -332,6 +355,39 @@ def _test_steps(configuration: Configuration) -> Iterator[tuple[str, str]]:
         f"{v}{macros.echo_time} is the clock after the move, not before it: nothing was read ahead",
     )
     yield (f"{late}=V {v}{value}=0 {fits} until {v}{echo}=0", f"{offset} is what the operator had, and the 0.010 mm")
+    if guard.dialect == "fanuc":
+        yield from _place_steps(configuration)
+
+
+def _place_steps(configuration: Configuration) -> Iterator[tuple[str, str]]:
+    """Yield the tests of every slope that the guard puts in for where its axis stands."""
+    macros, axes = configuration.cnc.macros, list(configuration.compensation.outputs.items())
+    for bit, (name, axis) in enumerate(axes):
+        if (slope := axis.slope) is None:
+            continue
+        value, echo, enable = macros.values[name], macros.echo_applied[name], macros.enable
+        offset, ends = (
+            _offset(configuration, name).split(",")[0],
+            [abs(end - slope.pivot_mm) for end in slope.travel_mm],
+        )
+        end = slope.travel_mm[0] if ends[0] > ends[1] else slope.travel_mm[1]
+        moved_mm = axis.step_um / 1e6 * (end - slope.pivot_mm)
+        set_to = (
+            f"#{macros.valid_until}=V #{value}={axis.step_um / macros.unit_um:g} #{enable}={1 << bit} #{macros.check}=C"
+        )
+        yield (
+            f"{slope.of} at {slope.pivot_mm:g} mm (machine): {set_to}, the guard twice",
+            f"#{echo}={axis.step_um / macros.unit_um:g}, {offset} as before: the pivot",
+        )
+        yield (
+            f"{slope.of} at {end:g} mm, again until the status is no longer 13",
+            f"#{macros.echo_status}=0, {offset} moved by {moved_mm:+.4g} mm",
+        )
+        yield (
+            f"{slope.of} outside {slope.travel_mm[0]:g} to {slope.travel_mm[1]:g} mm, where the machine lets it",
+            f"#{macros.echo_status}={int(GuardStatus.PLACE)}, message, {offset} as before",
+        )
+        yield (f"#{value}=0 #{macros.check}=C until #{echo}=0", f"{offset} as at the beginning")
 
 
 def _check_expression(configuration: Configuration) -> str:
@@ -345,7 +401,9 @@ def _check_expression(configuration: Configuration) -> str:
         f"{place}*ROUND{left}{v}{macros.values[axis]}{to_nm}{right}"
         for place, axis in enumerate(configuration.compensation.axes, start=1)
     ]
-    return "+".join(parts)
+    pivots = configuration.compensation.pivots_mm
+    places = {axis: place for place, axis in enumerate(configuration.compensation.axes, start=1)}
+    return "+".join(parts) + "".join(f"{pivot_check(places[axis], at_mm):+d}" for axis, at_mm in pivots.items())
 
 
 def _expiry(policy: str) -> str:

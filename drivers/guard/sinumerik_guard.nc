@@ -119,7 +119,7 @@ _SUM=_SB+_ON+ROUND(_UNTIL*{per_second})
 @end
 @check_axes
 IF ABS(_V{number}{to_mm})>{bound_tolerance} GOTOF TP_F10
-_SUM=_SUM+({number}*ROUND(_V{number}{to_mm}*{nm_per_mm}))
+_SUM=_SUM+({number}*ROUND(_V{number}{to_mm}*{nm_per_mm})){pivot_check}
 @end
 @check
 IF _CHK<>_SUM GOTOF TP_F10

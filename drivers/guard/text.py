@@ -12,7 +12,7 @@ from config.records.commissioning import CHECKING_GUARD, macro_map_digest
 from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig
 from config.schema.guard import PROGRAM_LABELS, PROGRAMS, SHARED_MEMORY, USUAL_AXES, GuardAxisConfig, GuardConfig
-from drivers.guard.check import PER_SECOND
+from drivers.guard.check import PER_SECOND, pivot_check
 from models.errors import RefusedInputError
 
 GUARD_VERSION = CHECKING_GUARD
@@ -58,6 +58,10 @@ class GuardStatus(IntEnum):
     """The check does not fit what the block holds: another program has written one of its macros."""
     SWITCHED_OFF = 11
     """A SINUMERIK whose machine data let no temperature compensation act on an axis."""
+    PLACE = 12
+    """A slope that counts for where its axis stands: the position is vacant or outside the travel; nothing moved."""
+    NEARING = 13
+    """Applied, but a slope's axis stands further from the place it was applied for than a step reaches: call again."""
 
 
 class GuardTextError(RefusedInputError, ValueError):
@@ -97,7 +101,7 @@ def guard_digest(text: str) -> str:
 
 def alarm_number(status: GuardStatus) -> int:
     """Return the number with which #3000 stops for a status; 110 and 111 are the initialising program's."""
-    return 112 if status is GuardStatus.CHECK else 100 + status
+    return {GuardStatus.CHECK: 112, GuardStatus.PLACE: 113}.get(status, 100 + status)
 
 
 def guard_axes(axes: Mapping[str, AxisConfig], guard: GuardConfig) -> dict[str, GuardAxisConfig]:
@@ -123,9 +127,8 @@ def guard_axes(axes: Mapping[str, AxisConfig], guard: GuardConfig) -> dict[str, 
 
 def fanuc_text(macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: GuardConfig, *, machine: str = "") -> str:
     """Return the text of all NC programs in custom macro B that the map has macros for; raises GuardTextError."""
-    refuse_slopes(axes, guard)
     programs = GuardPrograms.of(macros, guard)
-    rows = list(axis_rows(macros, axes, guard))
+    rows = placed_rows(macros, axes, guard)
     fields = common_fields(macros, guard, len(rows))
     numbers = {
         "guard": programs.guard,
@@ -144,15 +147,6 @@ def fanuc_text(macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: Gu
     return text
 
 
-def refuse_slopes(axes: Mapping[str, AxisConfig], guard: GuardConfig) -> None:
-    """Refuse a slope in a language whose programs apply none; raises GuardTextError."""
-    if slopes := [name for name, axis in axes.items() if axis.slope is not None]:
-        raise GuardTextError(
-            f"compensation.axes.{slopes[0]}.slope: the guard applies no slope in the language {guard.dialect} "
-            "(cnc.guard.dialect), only on a SINUMERIK; take the entry out"
-        )
-
-
 def decimal(value: float) -> str:
     """Return a number as custom macro text: no exponent, always a decimal point."""
     text = f"{value:.7f}".rstrip("0")
@@ -165,11 +159,19 @@ def _head(
     """Yield the comments that say which machine, map and limits the text was made for."""
     yield f"(MACHINE {comment(machine)})" if machine else "(MACHINE NOT NAMED)"
     yield f"(TEXT {guard_digest(body)[:16].upper()} MAP {macro_map_digest(macros)[:16].upper()})"
-    for name, axis in axes.items():
-        bound, step = decimal(axis.absolute_bound_um / 1000.0), decimal(axis.step_um / 1000.0)
-        yield f"(AXIS {comment(name)} BOUND {bound} STEP {step} MM)"
+    yield from axis_comments(axes)
     stop = "MESSAGE" if guard.alarm == "message" else "ALARM"
     yield f"(EXPIRED {guard.on_expiry.upper()} AND {stop}, AHEAD AT MOST {decimal(guard.max_validity_s)} S)"
+
+
+def axis_comments(axes: Mapping[str, AxisConfig]) -> Iterator[str]:
+    """Yield the comments that say what each axis may do, and of a slope where."""
+    for name, axis in axes.items():
+        bound, step = decimal(axis.absolute_bound_um / 1000.0), decimal(axis.step_um / 1000.0)
+        yield f"(AXIS {comment(name)} BOUND {bound} STEP {step} MM{'' if axis.slope is None else ' PER M'})"
+        if axis.slope is not None:
+            lowest, highest = axis.slope.travel_mm
+            yield f"(  0 AT {decimal(axis.slope.pivot_mm)}, TRAVEL {decimal(lowest)} TO {decimal(highest)} MM)"
 
 
 def comment(text: str) -> str:
@@ -206,9 +208,68 @@ def axis_rows(macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: Gua
             "bound_slack": decimal(bound_mm + increment / 2.0),
             "bound_tolerance": decimal(bound_mm + macros.tolerance * to_mm),
             "step": decimal(_down(step_mm, increment)),
+            "pivot_check": "" if axis.slope is None else f"{pivot_check(bit + 1, axis.slope.pivot_mm):+d}",
             "to_mm": f"*{factor}" if factor else "",
             "per_unit": f"/{factor}" if factor else "",
         }
+
+
+def placed_rows(macros: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: GuardConfig) -> list[dict[str, str]]:
+    """Return the fields of every axis for a control that takes offsets alone: a slope counts for a place there."""
+    rows = list(axis_rows(macros, axes, guard))
+    slopes = [(row, name, axis) for row, (name, axis) in zip(rows, axes.items(), strict=True) if axis.slope is not None]
+    for place, (row, name, axis) in enumerate(slopes, start=1):
+        row.update(
+            _placed(name, axis, guard.increment_mm),
+            place=str(planned_place(guard, len(axes)) + place),
+            position=str(5020 + int(row["offset"]) - 5200),
+            undone=str(int(row["settled"]) + 20),
+            placed=str(int(row["judged"]) + 20),
+            there=str(int(row["applied"]) + 20),
+        )
+    return rows
+
+
+def planned_place(guard: GuardConfig, axes: int) -> int:
+    """Return the macro of the place that is planned; those of the slopes follow, in their order."""
+    return guard.memory + SHARED_MEMORY + axes
+
+
+def axis_sections(rows: Sequence[Mapping[str, str]]) -> dict[str, Sequence[Mapping[str, str]]]:
+    """Return the sections of a template that stand there once for each axis, offset or slope, or for any slope."""
+    return {
+        "@axes": rows,
+        "@offsets": [row for row in rows if "pivot" not in row],
+        "@slopes": [row for row in rows if "pivot" in row],
+        "@placed": [{}] if any("place" in row for row in rows) else [],
+    }
+
+
+def _placed(name: str, axis: AxisConfig, increment: float) -> dict[str, str]:
+    """Return the limits of a slope that moves an offset in whole increments, together never more than the slope may.
+
+    Rounding the offset may move it by up to one increment more than the slope alone would: so much of the step is left.
+    """
+    slope = axis.slope
+    assert slope is not None
+    bound_mm, step_mm = (um / 1000.0 * slope.reach_m for um in (axis.absolute_bound_um, axis.step_um))
+    step = _down(axis.step_um / 1000.0 - increment / slope.reach_m, increment)
+    if step < increment * (1.0 - 1e-9) or _down(bound_mm, increment) < increment * (1.0 - 1e-9):
+        raise GuardTextError(
+            f"compensation.axes.{name}.step_um: {axis.step_um:g} um/m move the far end of the travel by "
+            f"{step_mm * 1000.0:g} um, which must be more than the control's least increment of "
+            f"{increment * 1000.0:g} um (cnc.guard.increment_mm), and the bound at least as much: nothing could ever "
+            "be applied"
+        )
+    return {
+        "pivot": decimal(slope.pivot_mm),
+        "lowest": decimal(slope.travel_mm[0] - increment / 2.0),
+        "highest": decimal(slope.travel_mm[1] + increment / 2.0),
+        "reach_slack": decimal(slope.reach_m * 1000.0 + increment),
+        "most": decimal(_down(bound_mm, increment)),
+        "step": decimal(step),
+        "place_step": decimal(step_mm - increment),
+    }
 
 
 def _down(value: float, increment: float) -> float:
@@ -224,6 +285,7 @@ def common_fields(macros: MacroMapConfig, guard: GuardConfig, axes: int) -> dict
     return {
         **{name: str(getattr(macros, name)) for name in (*block, *echo)},
         **{name: str(guard.memory + place) for place, name in enumerate(("pending", "planned", "before", "after"))},
+        "planned_place": str(planned_place(guard, axes)),
         **alarms,
         **flag,
         **(_request_fields(macros, guard) if macros.request is not None else {}),
@@ -262,9 +324,8 @@ def filled_program(
 ) -> str:
     """Return one template with its numbers."""
     fields = {**common, "program": str(program)}
-    sections: dict[str, list[dict[str, str]]] = {
-        "@axes": rows,
-        "@slopes": [row for row in rows if "pivot" in row],
+    sections: dict[str, Sequence[Mapping[str, str]]] = {
+        **axis_sections(rows),
         "@keep": [{}] if guard.on_expiry == "keep" else [],
         "@zero": [{}] if guard.on_expiry == "zero" else [],
         "@zero_axes": rows if guard.on_expiry == "zero" else [],

@@ -9,7 +9,7 @@ import numpy as np
 from config.schema.temperatures import LineConfig, SensorConfig
 from drivers.contract import FatalDriverError
 from drivers.latsis.frames import Frame
-from models.quality import Quality, Reason
+from models.quality import ACCEPTED, GOOD, Quality, Reason
 from models.records import CodeArray, FloatArray
 from models.units import MLX90615_K_PER_LSB, TMP102_DEGC_PER_LSB, degc_from_kelvin
 
@@ -21,7 +21,6 @@ NAMED_SENSORS = 20
 """How many sensors one sentence names before it counts the rest."""
 
 # Plain numbers: looking a member up in an enumeration costs more than decoding a value.
-_ACCEPTED = int(Reason.NONE)
 _NOT_RECEIVED = int(Reason.NOT_RECEIVED)
 _DUPLICATE_ID = int(Reason.DUPLICATE_ID)
 _RESET = int(Reason.RESET)
@@ -38,14 +37,14 @@ def decode_tmp102(code: int, *, extended_mode: bool = False) -> Decoded:
     if code >= 1 << bits:
         return math.nan, _UNREADABLE
     signed = code - (1 << bits) if code >> (bits - 1) else code
-    return signed * TMP102_DEGC_PER_LSB, _ACCEPTED
+    return signed * TMP102_DEGC_PER_LSB, ACCEPTED
 
 
 def decode_mlx90615(code: int) -> Decoded:
     """Return the temperature [degC] of an MLX90615 register; bit 15 is its error flag."""
     if code & 0x8000:
         return math.nan, _DEVICE_ERROR
-    return degc_from_kelvin(code * MLX90615_K_PER_LSB), _ACCEPTED
+    return degc_from_kelvin(code * MLX90615_K_PER_LSB), ACCEPTED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,7 +138,7 @@ class ChainDecoder:
         faults += self._device_faults(reasons, frames)
         if any(reasons):
             for index, reason in enumerate(reasons):
-                if reason == _ACCEPTED:
+                if reason == ACCEPTED:
                     self._last_good_degc[index] = degc[index]
         else:
             self._last_good_degc = degc
@@ -156,8 +155,8 @@ class ChainDecoder:
         self._last_good_degc = degc
         return ChainValues(
             degc=np.array(degc),
-            quality=np.full(len(degc), Quality.GOOD, dtype=np.uint8),
-            reason=np.full(len(degc), _ACCEPTED, dtype=np.uint8),
+            quality=np.full(len(degc), GOOD, dtype=np.uint8),
+            reason=np.full(len(degc), ACCEPTED, dtype=np.uint8),
             missing=frozenset(),
             duplicate=frozenset(),
             faults=(),
@@ -198,7 +197,7 @@ class ChainDecoder:
     def _values(self, degc: list[float], reasons: list[int], faults: list[str]) -> ChainValues:
         reason = np.array(reasons, dtype=np.uint8)
         quality = np.full(len(reasons), Quality.MISSING, dtype=np.uint8)
-        quality[reason == _ACCEPTED] = Quality.GOOD
+        quality[reason == ACCEPTED] = Quality.GOOD
         return ChainValues(
             degc=np.array(degc, dtype=np.float64),
             quality=quality,

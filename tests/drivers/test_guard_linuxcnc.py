@@ -3,13 +3,15 @@
 import asyncio
 from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 import pytest_asyncio
 from real_linuxcnc import RealLinuxcnc, folder, missing
 from scripted_machine import cnc_config
 
-from config.schema.compensation import AxisConfig
+from config.schema.cnc import CncConfig, MacroMapConfig
+from config.schema.compensation import CompensationConfig
 from drivers.clock import SystemClock
 from drivers.guard.check import block_check
 from drivers.guard.linuxcnc import linuxcnc_text, memory_of
@@ -24,8 +26,31 @@ pytestmark = [
     pytest.mark.asyncio(loop_scope="module"),
 ]
 GUARD = {"dialect": "linuxcnc", "increment_mm": 0.0001}
-AXES = {axis: AxisConfig(absolute_bound_um=50.0, slew_um_per_min=2.0, step_um=2.0) for axis in "XYZ"}
-CONFIG = cnc_config(linuxcnc={}, guard=GUARD)
+PIVOT_MM, FARTHEST_MM = 10.0, 110.0
+LIMITS = {"slew_um_per_min": 2.0, "absolute_bound_um": 50.0, "step_um": 2.0}
+SLOPE = {"of": "Z", "pivot_mm": PIVOT_MM, "travel_mm": (0.0, FARTHEST_MM)}
+AXES = CompensationConfig.model_validate(
+    {
+        "axes": {
+            "X": LIMITS,
+            "Y": LIMITS,
+            "Z": {"slew_um_per_min": 3.0, "absolute_bound_um": 60.0, "step_um": 3.0},
+            "S": {"slew_um_per_min": 10.0, "absolute_bound_um": 100.0, "step_um": 10.0, "slope": SLOPE},
+        }
+    }
+).outputs
+"""What the slope S leaves Z is what X and Y have."""
+
+
+def config(**section: Any) -> CncConfig:
+    """The map of the other tests, and variables of a slope."""
+    plain = cnc_config(linuxcnc=section, guard=GUARD)
+    slope = {"values": plain.macros.values | {"S": 507}, "echo_applied": plain.macros.echo_applied | {"S": 516}}
+    macros = MacroMapConfig.model_validate(plain.macros.model_dump() | slope)
+    return plain.model_copy(update={"macros": macros})
+
+
+CONFIG = config()
 CLOCK = "loadrt integ names=since-start\nsetp since-start.in 1\naddf since-start servo-thread\n"
 CLOCK += f"net since-start since-start.out => motion.analog-in-{Pins.of(CONFIG).clock:02d}\n"
 WORK_MM = 10.0
@@ -42,8 +67,7 @@ class Mill:
     async def start(self) -> None:
         """Start it, connect, switch on, and position the work."""
         await self.linuxcnc.start()
-        section = {"command": self.linuxcnc.python()}
-        self.cnc = LinuxcncCnc(cnc_config(linuxcnc=section, guard=GUARD), SystemClock())
+        self.cnc = LinuxcncCnc(config(command=self.linuxcnc.python()), SystemClock())
         await self.cnc.connect()
         await self.linuxcnc.switch_on()
         await self.linuxcnc.mdi("G21 G90 G40 G80 G54", f"G0 X0 Y0 Z{WORK_MM}")
@@ -62,7 +86,7 @@ class Mill:
         macros = CONFIG.macros
         held: dict[int, float | None] = {macros.values[axis]: um.get(axis, 0.0) / 1000.0 for axis in AXES}
         held |= {macros.valid_until: until_s, macros.enable: enable, macros.sequence_b: self.sequence}
-        check = block_check(macros, AXES, held) + wrong
+        check = block_check(macros, AXES, held, {"S": PIVOT_MM}) + wrong
         block = [(number, float(held[number] or 0.0)) for number in held if number != macros.sequence_b]
         assert macros.check is not None
         await self.cnc.write_macros(
@@ -79,13 +103,13 @@ class Mill:
         assert echo[514] is not None
         return GuardStatus(int(echo[514]))
 
-    async def stands_mm(self) -> float:
+    async def stands_mm(self, at_mm: float = WORK_MM) -> float:
         """Position again, and return where LinuxCNC says that Z is."""
-        await self.linuxcnc.mdi(f"G0 Z{WORK_MM}")
+        await self.linuxcnc.mdi(f"G0 Z{at_mm}")
         return (await self.linuxcnc.position_mm())[2]
 
-    async def applied_um(self) -> float | None:
-        applied = (await self.cnc.read_macros([512]))[512]
+    async def applied_um(self, echo: int = 512) -> float | None:
+        applied = (await self.cnc.read_macros([echo]))[echo]
         return None if applied is None else applied * 1000.0
 
 
@@ -93,7 +117,7 @@ class Mill:
 async def mill() -> AsyncIterator[Mill]:
     with folder() as directory:
         (directory / "toolpoint.ngc").write_text(linuxcnc_text(CONFIG, AXES, machine="mill"), encoding="ascii")
-        memory = "".join(f"{number}\t0.000000\n" for number in memory_of(CONFIG.guard, len(AXES)))
+        memory = "".join(f"{number}\t0.000000\n" for number in memory_of(CONFIG.guard, AXES))
         (directory / "mill.var").write_text(memory, encoding="ascii")
         mill = Mill(directory)
         try:
@@ -125,7 +149,7 @@ async def test_a_day_at_the_machine(mill: Mill) -> None:
     [
         ({"um": {"Z": 1.0}, "wrong": 1.0}, GuardStatus.CHECK),
         ({"um": {"Z": 51.0}}, GuardStatus.OVERSIZE),
-        ({"um": {"Z": 1.0}, "enable": 8.0}, GuardStatus.OVERSIZE),
+        ({"um": {"Z": 1.0}, "enable": 16.0}, GuardStatus.OVERSIZE),
         ({"um": {"Z": 1.0}, "enable": 0.0}, GuardStatus.DISABLED),
         ({"um": {"Z": 1.0}, "valid_s": 300.0}, GuardStatus.EXPIRED),
         ({"um": {"Z": 1.0}, "valid_s": -1.0}, GuardStatus.EXPIRED),
@@ -136,6 +160,33 @@ async def test_what_does_not_count_moves_nothing(mill: Mill, block: dict[str, fl
     await mill.write(**block)  # type: ignore[arg-type]
     assert await mill.guard() is status
     assert await mill.stands_mm() == pytest.approx(before, abs=1e-9)
+
+
+async def test_a_slope_counts_for_where_the_axis_stands_and_is_out_again_wherever_that_is(mill: Mill) -> None:
+    await mill.write({"X": 1.0, "Y": -2.0, "Z": 3.0, "S": 20.0}, enable=15.0)
+    plain_mm = await mill.stands_mm()
+    for applied_um in (9.0, 18.0, 20.0):
+        assert await mill.guard() is GuardStatus.APPLIED
+        assert await mill.applied_um(516) == pytest.approx(applied_um)
+    assert await mill.stands_mm() == pytest.approx(plain_mm, abs=1e-7), "it stands at the pivot"
+    far_mm = FARTHEST_MM - 0.1  # offsets of some um lie between there and the end
+    await mill.stands_mm(far_mm)
+    for moved_um, status in ((0.9, GuardStatus.NEARING), (1.8, GuardStatus.NEARING), (2.0, GuardStatus.APPLIED)):
+        assert await mill.guard() is status
+        await mill.linuxcnc.mdi("M68 E63 Q[#<_value>]")
+        assert float(mill.linuxcnc.halcmd("getp", "motion.analog-out-63")) == status, "a program can wait for it"
+        assert await mill.stands_mm(far_mm) - far_mm == pytest.approx(plain_mm - WORK_MM + moved_um / 1000.0, abs=1e-7)
+    await mill.linuxcnc.mdi("G43.1 Z1")
+    assert await mill.stands_mm(far_mm) > FARTHEST_MM
+    assert await mill.guard() is GuardStatus.PLACE, "what counts is the machine position, with the tool's length"
+    await mill.linuxcnc.mdi("G49")
+    assert await mill.stands_mm() == pytest.approx(plain_mm + 0.002, abs=1e-7), "where it was called last decides"
+    await mill.write({"X": 1.0, "Y": -2.0, "Z": 3.0}, enable=15.0)
+    await mill.stands_mm(60.0)
+    for _ in range(4):
+        await mill.guard()
+    assert await mill.applied_um(516) == 0.0
+    assert await mill.stands_mm() == pytest.approx(plain_mm, abs=1e-7)
 
 
 async def test_a_block_that_is_being_written_and_another_coordinate_system_move_nothing(mill: Mill) -> None:
@@ -183,7 +234,7 @@ async def test_an_emergency_stop_is_an_alarm_and_a_restart_keeps_what_is_applied
 
 async def test_without_its_memory_it_moves_nothing(mill: Mill) -> None:
     before = await mill.stands_mm()
-    await mill.linuxcnc.mdi(f"#{memory_of(CONFIG.guard, len(AXES))[-2]}=0")
+    await mill.linuxcnc.mdi(f"#{memory_of(CONFIG.guard, AXES)[-2]}=0")
     await mill.write({"Z": 4.0})
     echo_before = (await mill.cnc.read_macros([513]))[513]
     await mill.linuxcnc.mdi("o<toolpoint> call [1]")

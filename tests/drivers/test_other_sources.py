@@ -35,7 +35,7 @@ from drivers.opcua.tags import reading_of
 from drivers.process import ProcessSource
 from drivers.readings import NoReading, judged
 from models.quality import Quality, Reason
-from models.records import TemperatureCycle
+from models.records import Instant, TemperatureCycle
 
 PATIENCE_S = 30.0
 PERIOD_S = 10.0
@@ -364,6 +364,38 @@ def test_messages_of_devices() -> None:
     assert numbers_in(b'{"t": {"c": 21.5}}', {7: "t.c", 8: "t.f"}) == {7: 21.5}
     assert isinstance(numbers_in(b"[" * 100000, {7: ""})[7], NoReading)
     assert isinstance(numbers_in(b"1" * (LARGEST_BYTES + 1), {7: ""})[7], NoReading)
+
+
+class StillClock(SystemClock):
+    """A clock that a test moves."""
+
+    at_s = 1000.0
+
+    def now(self) -> Instant:
+        return Instant(monotonic_s=self.at_s, utc_s=self.at_s, real_s=self.at_s)
+
+
+def test_what_a_device_kept_while_it_was_cut_off_and_sends_at_once_is_one_cycle_with_the_newest() -> None:
+    """An hour of 5 K in 360 messages within a second: taken one by one, the mean of the minute was 2.5 K off."""
+    clock = StillClock()
+    section = {"host": "127.0.0.1", "timeout_s": 5.0}
+    opened = MqttSource(source("mqtt", section, {**SENSOR, "topic": "m/7"}), clock)
+    for _ in range(3):
+        opened.put(7, 20.0)
+        clock.at_s += PERIOD_S
+        rows = opened._due()
+    assert [row.values.tolist() for row in rows] == [[20.0]]
+    clock.at_s += 3600.0
+    for step in range(361):
+        opened.put(7, 20.0 + 5.0 * step / 360)
+        assert opened._due() == []
+        clock.at_s += 1.0 / 360
+    clock.at_s += PERIOD_S
+    assert [row.values.tolist() for row in opened._due()] == [[25.0]]
+    clock.at_s += 0.9 * PERIOD_S
+    for number in (25.1, 25.2):
+        opened.put(7, number)
+        assert [row.values.tolist() for row in opened._due()] == ([[25.1]] if number == 25.1 else [])
 
 
 @pytest.fixture

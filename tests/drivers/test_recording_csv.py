@@ -129,7 +129,20 @@ def test_empty_fields_are_missing_values(tmp_path: Path) -> None:
         (GOOD + "30,0,1,20,inf\n", "day.csv:4: column t2: 'inf' is not a possible value"),
         (GOOD + ",0,1,20,21\n", "day.csv:4: column t: is empty; every row needs its time"),
         (GOOD + "nan,0,1,20,21\n", "day.csv:4: column t: 'nan' is not a time"),
-        (GOOD + "15,0,1,20,21\n", "day.csv:4: column t: '15' does not come after the row before"),
+        (GOOD + "15,0,1,20,21\n", "day.csv:4: column t: '15' does not come after the row before; the same time"),
+        (
+            GOOD + "9,0,1,20,21\n",
+            "day.csv:4: column t: '9' does not come after the row before; sort the rows, and split",
+        ),
+        (
+            "t,rpm,c1,t1,t2\n9,0,1,2,3\n0,0,1,2,3\n",
+            "day.csv:3: column t: '0' does not come after the row before; where",
+        ),
+        (GOOD + "t,rpm,c1,t1,t2\n", "day.csv:4: the names of the columns come again; split the file where"),
+        (
+            "Logger 7\nMill;3\n" + GOOD,
+            "day.csv:1: 'Logger 7' does not look like the names of the columns; where line 3",
+        ),
         (GOOD.encode() + b"30,0,\xff,20,21\n", "is not UTF-8"),
         (GOOD.encode() + b"30,0,\x00,20,21\n", "day.csv:4: holds a NUL byte"),
         (",".join(f"x{i}" for i in range(5000)) + "\n", "day.csv:1: has 5000 columns"),
@@ -214,6 +227,18 @@ def test_times_are_read_in_the_form_and_the_zone_of_the_map(tmp_path: Path) -> N
     assert times(tmp_path, *autumn, **zurich) == [0.0, 1200.0, 2400.0, 5400.0]
     iso = {"time_unit": "iso", "time_zone": "Europe/Zurich"}
     assert times(tmp_path, "2026-03-29T01:59:00", "2026-03-29T03:00:00", **iso) == [0.0, 60.0]
+
+
+def test_a_clock_that_goes_back_in_autumn_is_told_of_the_zone(tmp_path: Path) -> None:
+    autumn = "25.10.2026 02:30:00", "25.10.2026 02:50:00", "25.10.2026 02:10:00"
+    with pytest.raises(RecordingFileError, match="where clocks were set back to winter time there, say time_zone"):
+        times(tmp_path, *autumn, time_format="%d.%m.%Y %H:%M:%S")
+
+
+def test_the_line_by_which_a_spreadsheet_names_its_separator_changes_nothing(tmp_path: Path) -> None:
+    plain = read_recording(written(tmp_path, GOOD), MAP)
+    marked = read_recording(written(tmp_path, "sep=;\r\n" + GOOD.replace(",", ";")), MAP)
+    np.testing.assert_array_equal(marked.temperatures_degc, plain.temperatures_degc)
 
 
 def test_date_and_time_of_day_may_be_two_columns(tmp_path: Path) -> None:

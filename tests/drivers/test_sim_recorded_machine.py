@@ -14,7 +14,7 @@ REQUEST = RequestMacrosConfig(counter=530, kind=531, axis=532, value_mm=533, ack
 CHANNELS = ("Y1", "Z1", "Z2")
 
 
-def machine(*, request: bool = False) -> RecordedMachine:
+def machine(*, request: bool = False, z_mm: np.ndarray | None = None) -> RecordedMachine:
     values = {name: 510 + index for index, name in enumerate(CHANNELS)}
     macros = MacroMapConfig(
         writable=["120", "500-540"],
@@ -35,8 +35,9 @@ def machine(*, request: bool = False) -> RecordedMachine:
         name="made up",
         time_s=times_s,
         speed_rpm=None,
-        temperature_names=("T1",),
-        temperatures_degc=np.full((len(times_s), 1), 21.5),
+        temperature_names=("T1",) if z_mm is None else ("T1", "Z_mm"),
+        temperatures_degc=np.column_stack([np.full(len(times_s), 21.5), *([] if z_mm is None else [z_mm])]),
+        axis_positions=() if z_mm is None else ("Z_mm",),
         displacement_names=CHANNELS,
         displacements_um=np.tile([0.0, 0.0, -6.0], (len(times_s), 1)) * (times_s[:, None] >= 60.0),
     )
@@ -48,7 +49,8 @@ def machine(*, request: bool = False) -> RecordedMachine:
             "axes": {name: {"letter": "XYZ"[i], "number": i + 1} for i, name in enumerate(CHANNELS)},
         }
     )
-    return RecordedMachine(recording, [SensorConfig(id=1, component="recording")], macros, axes, guard, block_s=60.0)
+    sensors, positions = [SensorConfig(id=1, component="recording")], {} if z_mm is None else {"Z_mm": "Z"}
+    return RecordedMachine(recording, sensors, macros, axes, guard, block_s=60.0, positions=positions)
 
 
 def ask(played: RecordedMachine, z2_um: float) -> None:
@@ -112,3 +114,17 @@ def test_the_sensors_must_be_those_of_the_recording() -> None:
     assert played.register_codes([1]) == [round(21.5 * 16)]
     with pytest.raises(KeyError):
         played.register_codes([2])
+
+
+def test_the_control_shows_recorded_positions_on_the_way_from_row_to_row_and_none_where_one_is_missing() -> None:
+    z_mm = np.where(np.arange(60) < 20, 100.0, 200.0)
+    z_mm[30:33] = np.nan
+    played = machine(z_mm=z_mm)
+    seen = {}
+    for row in (0.0, 19.0, 19.5, 20.0, 31.0, 33.0):
+        played.advance(LEAD_IN_S + 10.0 * row)
+        seen[row] = played.nc.positions_mm["Z"]
+    assert seen == pytest.approx(
+        {0.0: 100.0, 19.0: 100.0, 19.5: 150.0, 20.0: 200.0, 31.0: np.nan, 33.0: 200.0}, nan_ok=True
+    )
+    assert played.nc.positions_mm["X"] == 0.0 and played.register_codes([1]) == [344]

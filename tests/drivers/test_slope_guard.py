@@ -3,12 +3,12 @@
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sloped_machine import FARTHEST_M, GUARD, MAP, PIVOT_MM, SLOPE, TRAVEL_MM, SlopedGuard, Z
+from sloped_machine import FARTHEST_M, GUARD, MAP, PIVOT_MM, SLOPE, TRAVEL_MM, PlacedGuard, SlopedGuard, Z
 
 from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig, CompensationConfig
 from drivers.guard.programs import guard_text
-from drivers.guard.text import GuardStatus, GuardTextError
+from drivers.guard.text import GuardStatus
 
 ENDS_MM = (*TRAVEL_MM, PIVOT_MM)
 ROUNDING_UM = 1e-4
@@ -149,8 +149,13 @@ def test_the_text_says_what_it_was_made_for_and_without_a_slope_nothing_of_one()
     assert "SLOPE" not in without and "REF_POSITION" not in without and "SD43920" not in without
 
 
-def test_other_languages_refuse_a_slope_by_its_key() -> None:
-    macros = MacroMapConfig.model_validate(MAP)
-    axes = {name: AxisConfig.model_validate(axis) for name, axis in (("z", Z), ("z_slope", SLOPE))}
-    with pytest.raises(GuardTextError, match=r"compensation.axes.z_slope.slope: the guard applies no slope"):
-        guard_text(macros, axes, GUARD.model_copy(update={"dialect": "fanuc"}))
+@pytest.mark.parametrize("made", [SlopedGuard, PlacedGuard])
+def test_a_text_that_was_made_for_another_pivot_applies_nothing_of_the_daemon_s_block(made: type[SlopedGuard]) -> None:
+    guard = made()
+    guard.pivots_mm = {"z_slope": PIVOT_MM + 0.1}
+    guard.write(4.0, 15.0)
+    assert guard.call() is GuardStatus.CHECK
+    assert guard.echo_um() == (0.0, 0.0)
+    guard.pivots_mm = {"z_slope": PIVOT_MM}
+    guard.write(4.0, 15.0)
+    assert guard.call() is GuardStatus.APPLIED

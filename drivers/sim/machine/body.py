@@ -5,7 +5,7 @@ two knots the state is worked out from the last knot whenever somebody looks, an
 a run does not depend on how often or when it is looked at.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,9 +16,13 @@ from drivers.sim.machine.heat import INDEX, Drive
 from drivers.sim.machine.plant import MAX_STEP_S, Plant
 from drivers.sim.machine.sensors import CodeVector, RotationJump, SensorArray, displacement_reading_um
 from drivers.sim.machine.structure import CHANNELS, Structure
+from drivers.sim.machine.travel import AxisTravel, Travel
 from drivers.sim.nc.program import Block, PartProgram
+from drivers.sim.nc.wiring import AXES
 from models.records import FloatArray
 
+AXIS_OF_CHANNEL = np.array([AXES.index(channel[0].lower()) for channel in CHANNELS])
+"""Place of the axis along which each displacement channel measures."""
 SPINDLE_RPM_PER_S = 6000.0
 """Acceleration of the spindle (chosen: 2 s to full speed)."""
 
@@ -67,8 +71,10 @@ class MachineBody:
         *,
         machine_seed: int = 1,
         rotation_jump: RotationJump | None = None,
+        travels: Mapping[str, AxisTravel] | None = None,
     ) -> None:
         self.program = program
+        self.travel = Travel(travels or {})
         self.structure = Structure.on(day)
         self.sensors = SensorArray(sensors, machine_seed=machine_seed, noise_seed=day.seed)
         self.time_s = 0.0
@@ -83,6 +89,7 @@ class MachineBody:
         self._block_start_s = 0.0
         self._held_until_s = 0.0
         self._ramp = _Ramp(start_s=0.0, from_rpm=0.0, to_rpm=self.block.spindle_speed_rpm)
+        self.travel.enter(self.block.kind, 0.0)
 
     @property
     def block(self) -> Block:
@@ -141,7 +148,8 @@ class MachineBody:
 
     def displacement_um(self) -> dict[str, float]:
         """Return the displacement readings by channel, zero at the start of the simulation [um]."""
-        true_um = self.structure.displacement_um(self.thermal_nodes()) - self._zero_um
+        grown_um = self.travel.grown_um(self.thermal_nodes(), self.time_s)
+        true_um = self.structure.displacement_um(self.thermal_nodes()) - self._zero_um + grown_um[AXIS_OF_CHANNEL]
         speed_rpm = self.spindle_speed_rpm
         jump_um = np.array([self._jump.at(channel, speed_rpm) for channel in CHANNELS])
         reading = displacement_reading_um(true_um + jump_um, self.time_s, self._seed)
@@ -151,6 +159,7 @@ class MachineBody:
         speed_rpm = self.spindle_speed_rpm
         self._index = index
         self._block_start_s = self.time_s
+        self.travel.enter(self.block.kind, self.time_s)
         self._ramp = _Ramp(start_s=self.time_s, from_rpm=speed_rpm, to_rpm=self.block.spindle_speed_rpm)
 
     def _commit(self, to_s: float) -> None:

@@ -9,6 +9,7 @@ displacement sensors see it move, as they would on a machine.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from drivers.sim.contract import AxisTruth
 from drivers.sim.machine.body import MachineBody
 from drivers.sim.machine.day import Day
 from drivers.sim.machine.structure import CHANNELS
+from drivers.sim.machine.travel import AxisTravel
 from drivers.sim.nc.nc import NumericalControl, RunCode
 from drivers.sim.nc.nc_programs import NcPrograms
 from drivers.sim.nc.program import PartProgram
@@ -36,6 +38,15 @@ TOOL_EXPANSION_UM_PER_M_K = 11.0
 """Tool and holder of the shipped programs: steel, from the spindle nose to the tip."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Zero:
+    """What the truth since a work positioning counts from."""
+
+    tool_point_um: FloatArray
+    degc: FloatArray
+    applied_um: Mapping[str, float]
+
+
 class CfrpMachine:
     """The machine of the published work, simulated; implements `drivers.sim.contract.SimulatedMachine`."""
 
@@ -49,10 +60,11 @@ class CfrpMachine:
         guard: GuardConfig | None = None,
         *,
         wiring: Wiring = STRAIGHT,
+        travels: Mapping[str, AxisTravel] | None = None,
     ) -> None:
         if unknown := sorted({name for name, axis in axes.items() if axis.slope is None} - set(AXES)):
             raise ValueError(f"the simulated machine has the axes {', '.join(AXES)}, not {', '.join(unknown)}")
-        self.body = MachineBody(day, program, sensors)
+        self.body = MachineBody(day, program, sensors, travels=travels)
         self.time_s = 0.0
         rng = np.random.default_rng([1, 31])
         self._nc = NumericalControl(
@@ -67,7 +79,7 @@ class CfrpMachine:
         self._programs = NcPrograms(self.guard, self._nc)
         self._motor_due_s = 0.0
         self._wiring = wiring
-        self._zero: tuple[FloatArray, dict[str, float]] | None = None
+        self._zero: _Zero | None = None
         self.initialise_macros()
         self._entered()
         self._show()
@@ -102,16 +114,17 @@ class CfrpMachine:
 
     def displacement_um(self) -> dict[str, float]:
         """Return the displacement sensors' readings by channel [um]; they see what the compensation does."""
-        moved_um = self._wiring.moved_um(self.guard.offsets_um)
+        moved_um = self._moved_um(self.guard.applied_um)
         return {channel: um + moved_um[CHANNEL_AXES[channel]] for channel, um in self.body.displacement_um().items()}
 
     def truth(self) -> dict[str, AxisTruth]:
         """Return the tool point's true error per axis; empty before the first work positioning."""
         if self._zero is None:
             return {}
-        zero_um, moved_then_um = self._zero
-        moved_um = self._wiring.moved_um(self.guard.offsets_um)
-        error_um = self._tool_point_um() - zero_um
+        now, zero = self._now(), self._zero
+        moved_um, moved_then_um = self._moved_um(now.applied_um), self._moved_um(zero.applied_um)
+        grown_um = [self.body.travel.grown_um(each.degc, self.body.time_s) for each in (now, zero)]
+        error_um = now.tool_point_um - zero.tool_point_um + grown_um[0] - grown_um[1]
         cutting = self.body.block.kind == "cut"
         truth: dict[str, AxisTruth] = {}
         for axis, uncompensated_um in zip(AXES, error_um.tolist(), strict=True):
@@ -121,8 +134,15 @@ class CfrpMachine:
             )
         return truth
 
-    def _tool_point_um(self) -> FloatArray:
-        return self.body.structure.tool_point_um(self.body.thermal_nodes(), TOOL_LENGTH_M, TOOL_EXPANSION_UM_PER_M_K)
+    def _now(self) -> "_Zero":
+        degc = self.body.thermal_nodes()
+        tool_point_um = self.body.structure.tool_point_um(degc, TOOL_LENGTH_M, TOOL_EXPANSION_UM_PER_M_K)
+        return _Zero(tool_point_um=tool_point_um, degc=degc, applied_um=self.guard.applied_um)
+
+    def _moved_um(self, applied_um: Mapping[str, float]) -> dict[str, float]:
+        """Return how far what is applied moves each axis where it stands now [um]."""
+        positions_mm = self.body.travel.positions_mm(self.body.time_s)
+        return self._wiring.moved_um(self.guard.moved_um(applied_um, positions_mm))
 
     def _entered(self) -> None:
         block = self.body.block
@@ -132,7 +152,7 @@ class CfrpMachine:
         elif self._nc.run != RunCode.RESET:
             self._nc.run = RunCode.STOP
         if block.kind == "positioning":
-            self._zero = (self._tool_point_um(), self._wiring.moved_um(self.guard.offsets_um))
+            self._zero = self._now()
         if block.tool_number is not None:
             self._nc.tool_number = block.tool_number
         measured = self.truth().get(block.probe or "")
@@ -141,12 +161,14 @@ class CfrpMachine:
 
     def _run_programs_until(self, end_s: float) -> None:
         """Let the NC's programs do what falls due before `end_s` [s]; one that waits holds its block."""
+        self.guard.stand(self.body.travel.positions_mm(self.body.time_s))
         self._programs.run_until(end_s)
         if (resumes_s := self._programs.waits_until_s) is not None:
             self.body.hold(np.nextafter(resumes_s, np.inf))
 
     def _show(self) -> None:
         self.time_s = self.body.time_s
+        self._nc.positions_mm.update(self.guard.by_letter(self.body.travel.positions_mm(self.time_s)))
         self._nc.clock_s = self._nc.clock_at(self.time_s)
         self.guard.show(self._nc.macros, self._nc.clock_s)
         self._nc.spindle_speed_rpm = self.body.spindle_speed_rpm

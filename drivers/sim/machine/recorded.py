@@ -1,8 +1,8 @@
 """A machine that plays a recording: its temperatures, displacements and spindle speed, on a simulated NC.
 
 The mean of the recording's first block stands still for `LEAD_IN_S`; then work is positioned, and from there on
-the tool is always at a safe point, so that the NC applies what it is given once a second. Temperatures and
-displacements go straight from one row to the next: rows of a minute are no steps of several kelvin.
+the tool is always at a safe point, so that the NC applies what it is given once a second. Temperatures, axis positions
+and displacements go straight from one row to the next: rows of a minute are no steps of several kelvin.
 """
 
 from collections.abc import Mapping, Sequence
@@ -40,7 +40,12 @@ class PlayedRecording(Protocol):
 
     @property
     def temperatures_degc(self) -> FloatArray:
-        """Temperatures [degC], shape (n, n_sensors), NaN where missing."""
+        """Temperatures [degC], shape (n, n_sensors), then axis positions [mm], NaN where missing."""
+        ...
+
+    @property
+    def axis_positions(self) -> tuple[str, ...]:
+        """Names of the last columns of these, when they are axis positions."""
         ...
 
     @property
@@ -69,8 +74,11 @@ class RecordedMachine:
         guard: GuardConfig | None = None,
         *,
         block_s: float,
+        positions: Mapping[str, str] | None = None,
     ) -> None:
-        if len(sensors) != (columns := recording.temperatures_degc.shape[1]):
+        """`positions`: letters of the axes whose positions the NC shows, by the name of the recording's column."""
+        first_position = recording.temperatures_degc.shape[1] - len(recording.axis_positions)
+        if len(sensors) != (columns := first_position):
             raise ValueError(f"the recording has {columns} temperatures, the machine {len(sensors)} sensors")
         self._recording = recording
         self._time_s = recording.time_s - recording.time_s[0]
@@ -82,6 +90,8 @@ class RecordedMachine:
         names = recording.displacement_names
         self._channels = {name: axis.estimate for name, axis in axes.items() if axis.estimate in names}
         self.time_s = 0.0
+        of_column = {name: first_position + index for index, name in enumerate(recording.axis_positions)}
+        self._positions = {letter: of_column[name] for name, letter in (positions or {}).items()}
         self._nc = NumericalControl(program=PROGRAM, clock_s=5000.0, clock_ppm=0.0, power_on_count=1, tool_number=1)
         self._guard = SafePointApplication(macro_map, axes, guard)
         self._nc.keeps_all = self._guard.keeps_all
@@ -120,14 +130,18 @@ class RecordedMachine:
 
     def register_codes(self, sensor_ids: Sequence[int]) -> list[int]:
         """Return the TMP102 codes of the recording's row now; NaN in the recording reads 0."""
-        playing = self.time_s >= LEAD_IN_S
-        row = self._between_rows(self._recording.temperatures_degc) if playing else self._first_degc
+        row = self._inputs()
         codes = []
         for sensor_id in sensor_ids:
             degc = row[self._position[sensor_id]]
             counts = 0 if not np.isfinite(degc) else round(float(np.clip(degc, -128.0, 127.9)) * 16)
             codes.append(counts & 0xFFF)
         return codes
+
+    def _inputs(self) -> FloatArray:
+        """Return temperatures [degC] and axis positions [mm] now."""
+        playing = self.time_s >= LEAD_IN_S
+        return self._between_rows(self._recording.temperatures_degc) if playing else self._first_degc
 
     def displacement_um(self) -> dict[str, float]:
         """Return the recording's displacements now by channel [um], with what the NC applies to their axes."""
@@ -193,6 +207,9 @@ class RecordedMachine:
         self._guard.show(nc.macros, nc.clock_s)
         nc.spindle_speed_rpm = float(speed[self._row()]) if speed is not None else 0.0
         nc.motor_temperature_degc = ROOM_DEGC
+        if self._positions:
+            inputs = self._inputs()
+            nc.positions_mm.update({letter: float(inputs[column]) for letter, column in self._positions.items()})
         positioned = self.time_s >= LEAD_IN_S
         nc.run = RunCode.START if positioned else RunCode.STOP
         if positioned:

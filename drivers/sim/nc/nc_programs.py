@@ -23,7 +23,7 @@ class NcPrograms:
     def __init__(self, application: SafePointApplication, nc: NumericalControl) -> None:
         self._application = application
         self._nc = nc
-        self._axis_number = {axis: float(n) for n, axis in enumerate(application.applied_um, start=1)}
+        self._axis_number = {axis: float(n) for n, axis in enumerate(application.axes, start=1)}
         self._queue: deque[tuple[int, dict[str, float]]] = deque()
         """Programs that the present block still has to begin, with their arguments."""
         self._resume_s = np.inf

@@ -9,7 +9,7 @@ from functools import lru_cache
 
 from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig
-from config.schema.guard import AxisLetter, GuardAxisConfig, GuardConfig
+from config.schema.guard import SHARED_MEMORY, AxisLetter, GuardAxisConfig, GuardConfig
 from drivers.guard.programs import guard_text
 from drivers.guard.text import GUARD_VERSION, GuardPrograms, GuardStatus, guard_axes
 from drivers.sim.contract import Macros
@@ -34,11 +34,12 @@ def _compiled_archive(text: str) -> dict[str, SinumerikProgram]:
 
 def simulated_guard(axes: Mapping[str, AxisConfig]) -> GuardConfig:
     """Return the guard's settings for a control that exists only here: its axes are numbered in their order."""
-    if {name.lower() for name in axes} <= {"x", "y", "z"}:
+    offsets = [name for name, axis in axes.items() if axis.slope is None]
+    if {name.lower() for name in offsets} <= {"x", "y", "z"}:
         return GuardConfig(increment_mm=SIMULATED_INCREMENT_MM)
     numbered = {
         name: GuardAxisConfig(letter=letter, number=number)
-        for number, (name, letter) in enumerate(zip(axes, LETTERS, strict=False), start=1)
+        for number, (name, letter) in enumerate(zip(offsets, LETTERS, strict=False), start=1)
     }
     return GuardConfig(increment_mm=SIMULATED_INCREMENT_MM, axes=numbered)
 
@@ -53,7 +54,10 @@ class SafePointApplication:
         self._map = macro_map
         self._axes = guard_axes(axes, guard)
         self._places = {axis: settings.number - 1 for axis, settings in self._axes.items()}
-        self._memory = guard.memory_of(len(axes))
+        slopes = {name: axis.slope for name, axis in axes.items() if axis.slope is not None}
+        self._slopes = slopes
+        memory = guard.memory_of(len(axes), len(slopes))[SHARED_MEMORY:]
+        self._memory, self._slope_places = memory[: len(axes)], memory[len(axes) + 1 :]
         self.programs = GuardPrograms.of(macro_map, guard)
         self.text = guard_text(macro_map, axes, guard)
         """What the NC runs."""
@@ -63,7 +67,7 @@ class SafePointApplication:
         self.interpreter: Interpreter | SinumerikInterpreter
         if guard.dialect == "sinumerik":
             siemens = SinumerikControl(_NoMacros(), addresses=addresses, increment_mm=guard.increment_mm)
-            for name, slope in ((name, axis.slope) for name, axis in axes.items() if axis.slope is not None):
+            for name, slope in slopes.items():
                 siemens.pivots_mm[self._places[name]] = slope.pivot_mm
                 siemens.compensation_types[self._axes[name].letter] = 3
             self.control = siemens
@@ -72,16 +76,19 @@ class SafePointApplication:
             fanuc = MacroControl(_NoMacros(), addresses=addresses, increment_mm=guard.increment_mm)
             if guard.read_ahead_stop.startswith("M"):
                 fanuc.waiting_m_codes = frozenset({int(guard.read_ahead_stop[1:])})
+            for name, slope in slopes.items():
+                fanuc.positions_mm[self._places[name]] = slope.pivot_mm
             self.control = fanuc
             self.interpreter = Interpreter(_compiled(self.text), fanuc)
-        self._slopes = {name for name, axis in axes.items() if axis.slope is not None}
         self._own_mm = dict.fromkeys(axes, 0.0)
+        self.axes = tuple(axes)
 
     @property
     def applied_um(self) -> dict[str, float]:
         """What the NC adds to the tool point's position now, per axis: external offset minus the operator's [um].
 
-        Of a slope what it adds at one metre from its pivot.
+        Of a slope what it adds at one metre from its pivot; where the guard puts it into the offset, what its memory
+        says, and the offset holds what that makes where the axis stood.
         """
         return {axis: round((self._external_mm(axis) - own) * 1000.0, 6) for axis, own in self._own_mm.items()}
 
@@ -90,8 +97,29 @@ class SafePointApplication:
         """The same without slopes: the simulated axes stand at their pivots."""
         return {axis: um for axis, um in self.applied_um.items() if axis not in self._slopes}
 
+    def moved_um(self, applied_um: Mapping[str, float], positions_mm: Mapping[str, float]) -> dict[str, float]:
+        """Return how far values of `applied_um` move each axis that stands somewhere [um]; at its pivot if not told."""
+        moved = {axis: um for axis, um in applied_um.items() if axis not in self._slopes}
+        for name in set(self._slopes) - self._remembered:
+            slope = self._slopes[name]
+            moved[slope.of] += 1e-3 * applied_um[name] * (positions_mm.get(slope.of, slope.pivot_mm) - slope.pivot_mm)
+        return moved
+
+    def stand(self, positions_mm: Mapping[str, float]) -> None:
+        """Tell a control whose programs ask for it where its axes stand [mm]."""
+        if isinstance(self.control, MacroControl):
+            for axis in positions_mm.keys() & self._places.keys():
+                self.control.positions_mm[self._places[axis]] = positions_mm[axis]
+
+    def by_letter(self, positions_mm: Mapping[str, float]) -> dict[str, float]:
+        """Return positions of axes by their letters on the control [mm]."""
+        letters = {axis: each.letter for axis, each in self._axes.items()}
+        return {letters.get(axis, axis.upper()): mm for axis, mm in positions_mm.items()}
+
     def change_own_offset(self, axis: str, by_um: float) -> None:
-        """Let the operator add to the own offset by hand [um]."""
+        """Let the operator add to the own offset by hand [um]; ValueError for a slope that the control has not."""
+        if axis in self._remembered:
+            raise ValueError(f"{axis}: this control has offsets alone")
         self._own_mm[axis] += by_um / 1000.0
         self._set_external_mm(axis, self._external_mm(axis) + by_um / 1000.0)
 
@@ -102,7 +130,9 @@ class SafePointApplication:
                 mm = applied_um[axis] / 1000.0
                 self._set_external_mm(axis, self._own_mm[axis] + mm)
                 macros.set(self._map.echo_applied[axis], mm * 1000.0 / self._map.unit_um)
-                macros.set(self._memory[-len(self._axes)] + place, mm)
+                macros.set(self._memory[place], mm)
+        for number in self._slope_places:
+            macros.set(number, 0.0)
 
     def initialise(self, macros: Macros, clock_s: float) -> None:
         """Bring block, echo and memory to what commissioning leaves in a machine that compensates nothing."""
@@ -113,7 +143,7 @@ class SafePointApplication:
         macros.set(self._map.valid_until, None)
         if self._map.request is not None:
             macros.set(self._map.request.acknowledge, 0.0)
-        self._own_mm = {axis: self._external_mm(axis) for axis in self._axes}
+        self._own_mm = {axis: 0.0 if axis in self._remembered else self._external_mm(axis) for axis in self._axes}
         self.at(macros, clock_s).run(self.programs.initialise, A=1.0)
 
     def run(self, macros: Macros, clock_s: float) -> GuardStatus:
@@ -143,8 +173,15 @@ class SafePointApplication:
         self.interpreter.reset()
         self.control.power_on()
 
+    @property
+    def _remembered(self) -> set[str]:
+        """Slopes that only the guard's memory knows: this control has offsets alone."""
+        return set() if isinstance(self.control, SinumerikControl) else set(self._slopes)
+
     def _external_mm(self, axis: str) -> float:
         place = self._places[axis]
+        if axis in self._remembered:
+            return self.control.common.get(self._memory[self.axes.index(axis)]) or 0.0
         if axis in self._slopes and isinstance(self.control, SinumerikControl):
             return self.control.slopes[place] * MM_PER_M
         return self.control.external_mm[place]
@@ -153,7 +190,7 @@ class SafePointApplication:
         place = self._places[axis]
         if axis in self._slopes and isinstance(self.control, SinumerikControl):
             self.control.slopes[place] = mm / MM_PER_M
-        else:
+        elif axis not in self._remembered:
             self.control.external_mm[place] = mm
 
 

@@ -11,6 +11,8 @@ LOCALS = 34
 """Local variables are #1 to #33."""
 EXTERNAL_OFFSET = 5200
 """#5201.. hold the external work offset of axis 1.. [mm, or inches in G20]."""
+MACHINE_POSITION = 5020
+"""#5021.. hold the machine position of axis 1.. while it stands [mm, or inches in G20]."""
 TOOL = 4120
 """The control's own number of the tool (modal T)."""
 TIMER_WRAP_MS = 2_147_483_648
@@ -38,6 +40,8 @@ class MacroControl:
         self.timer_zero_ms = 0.0
         self.external_mm = [0.0] * len(self.addresses)
         """External work offset of each axis [mm]: the operator's own, and what a program has added."""
+        self.positions_mm: list[float | None] = [0.0] * len(self.addresses)
+        """Where each axis stands in machine coordinates [mm]; None: the control does not know."""
         self.modal: dict[int, int] = dict(DEFAULT_MODALS)
         """Active G code by modal group."""
         self.waiting_m_codes: frozenset[int] = frozenset()
@@ -67,6 +71,9 @@ class MacroControl:
             return float(self.modal[number - 4000])
         if (axis := number - EXTERNAL_OFFSET - 1) in range(len(self.external_mm)):
             return self.external_mm[axis] / self._unit_mm()
+        if (axis := number - MACHINE_POSITION - 1) in range(len(self.positions_mm)):
+            position_mm = self.positions_mm[axis]
+            return None if position_mm is None else position_mm / self._unit_mm()
         raise MacroError(f"variable #{number} cannot be read here")
 
     def set(self, number: int, value: float | None) -> None:

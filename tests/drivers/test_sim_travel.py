@@ -1,0 +1,127 @@
+"""Axes of the simulated machine that travel: where they stand, what their scales grow, what a slope does there."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from sloped_machine import PIVOT_MM, TRAVEL_MM, configured, content, sloped
+
+from config.schema import Configuration
+from daemon.simulation.simulated_model import CHANNELS, simulated_recording
+from daemon.simulation.simulation import simulated_day
+from drivers.clock import SystemClock
+from drivers.guard.check import block_check
+from drivers.sim.machine.day import Day
+from drivers.sim.machine.heat import INDEX
+from drivers.sim.machine.machine import CfrpMachine
+from drivers.sim.machine.recording import record
+from drivers.sim.machine.travel import ENDS, EXPANSION_UM_PER_M_K, SHARES, AxisTravel, axis_travels
+from drivers.sim.nc.program import POSITIONING, demo_program
+
+Z_READ: dict[str, Any] = {"axis": "Z", "travel_mm": [0.0, 500.0], "rapid_mm_per_min": 1200.0}
+
+
+def day(configuration: Configuration) -> CfrpMachine:
+    machine = simulated_day(configuration, SystemClock(), 1000).machine  # type: ignore[arg-type]
+    assert isinstance(machine, CfrpMachine)
+    return machine
+
+
+def test_the_axis_goes_to_another_place_with_every_cut_and_the_control_tells_it(tmp_path: Path) -> None:
+    machine, places, before = day(sloped(tmp_path)), set(), PIVOT_MM
+    for second in range(1, 1200):
+        machine.advance(float(second))
+        position_mm = machine.nc.positions_mm["Z"]
+        assert abs(position_mm - before) <= 50.0 + 1e-6, "at 3 m/min"
+        if machine.nc.sequence_number == POSITIONING:
+            assert second < 155 or position_mm == PIVOT_MM, "work is positioned in the middle"
+        if machine.nc.sequence_number == 900 and position_mm == before:
+            places.add(round(position_mm, 3))
+        before = position_mm
+    assert places == {round(500.0 * share, 3) for share in SHARES}
+    assert machine.nc.positions_mm["X"] == machine.nc.positions_mm["Y"] == 0.0, "nothing is said of their travel"
+
+
+def test_an_axis_moves_no_faster_than_is_believed_of_it_and_grows_where_it_has_a_slope_only(tmp_path: Path) -> None:
+    given = content(tmp_path)
+    given["cnc"]["axis_positions"] = {"Z_mm": Z_READ, "X_mm": Z_READ | {"axis": "X", "travel_mm": [-50.0, 50.0]}}
+    travels = axis_travels(configured(given))
+    assert travels["z"] == AxisTravel(lowest_mm=0.0, highest_mm=500.0, mm_per_s=10.0)
+    assert travels["x"] == AxisTravel(lowest_mm=-50.0, highest_mm=50.0, mm_per_s=10.0, grows=False)
+
+
+def test_what_is_applied_as_a_slope_moves_the_tool_where_the_axis_stands(tmp_path: Path) -> None:
+    machine = day(sloped(tmp_path))
+    machine.advance(460.0)
+    position_mm, before = machine.nc.positions_mm["Z"], machine.truth()["z"]
+    assert abs(position_mm - PIVOT_MM) > 50.0
+    read_um = machine.displacement_um()["Z1"]
+    machine.guard.place(machine.nc.macros, {"z": 3.0, "z_slope": 40.0})
+    moved_um = 3.0 + 40.0 * 1e-3 * (position_mm - PIVOT_MM)
+    assert machine.truth()["z"].compensated_um - before.compensated_um == pytest.approx(moved_um, abs=0.01)
+    assert machine.truth()["z"].uncompensated_um == before.uncompensated_um
+    assert machine.displacement_um()["Z1"] - read_um == pytest.approx(moved_um, abs=0.01)
+
+
+def test_a_scale_grows_with_its_temperatures_and_adds_nothing_in_the_middle(tmp_path: Path) -> None:
+    machine = day(sloped(tmp_path))
+    degc = np.full(len(INDEX), 20.0)
+    degc[[INDEX[node] for node in ENDS["z"]]] = 22.0, 24.0
+    travel = machine.body.travel
+    machine.advance(900.0)
+    along_m = 1e-3 * (travel.positions_mm(900.0)["z"] - PIVOT_MM)
+    expected = EXPANSION_UM_PER_M_K * (3.0 * along_m + 2.0 * along_m**2)
+    np.testing.assert_allclose(travel.grown_um(degc, 900.0), [0.0, 0.0, expected])
+    assert not travel.grown_um(np.full(len(INDEX), 20.0), 900.0).any()
+
+
+def test_a_day_without_travel_is_what_it_was_and_one_with_it_tells_the_slope(tmp_path: Path) -> None:
+    sensors = sloped(tmp_path).temperatures.sensors
+    travels = {"z": AxisTravel(lowest_mm=TRAVEL_MM[0], highest_mm=TRAVEL_MM[1])}
+    header, still = record(Day.draw(3), demo_program(), sensors, hours=1.0)
+    names, moving = record(Day.draw(3), demo_program(), sensors, hours=1.0, travels=travels)
+    assert names == (*header, "Z_mm")
+    same = [place for place, name in enumerate(header) if name[0] != "Z"]
+    np.testing.assert_array_equal(still[:, same], moving[:, same])
+    assert np.ptp(moving[:, -1]) == pytest.approx(0.92 * 500.0)
+    recording = simulated_recording(3, demo_program(), sensors, hours=1.0, travels=travels, slopes={"Z1": PIVOT_MM})
+    kept = tuple(name for name in CHANNELS if name[0] != "Z")
+    assert recording.displacement_names == (*kept, "Z1", "Z1_per_m")
+    assert recording.pivots_mm == {"Z1_per_m": PIVOT_MM}
+    of_z1 = still[:, header.index("Z1")]
+    offset_um, per_m = recording.displacements_um[:, -2:].T
+    assert np.nanmax(np.abs(offset_um - of_z1)) < 0.25 * np.ptp(of_z1), "in the middle nothing has changed"
+    assert np.nanmax(per_m) - np.nanmin(per_m) > 10.0
+
+
+def on_a_fanuc(directory: Path) -> Configuration:
+    given = content(directory)
+    given["cnc"] |= {"opcua": {"endpoint": "opc.tcp://127.0.0.1:1/none", "namespace_uri": "urn:a:b"}}
+    given["cnc"]["guard"] = {"increment_mm": 0.0001}
+    return configured(given)
+
+
+def test_the_guard_of_a_fanuc_puts_the_slope_in_for_where_the_simulated_axis_stands_then(tmp_path: Path) -> None:
+    configuration = on_a_fanuc(tmp_path)
+    machine, outputs = day(configuration), configuration.compensation.outputs
+    pivots_mm = configuration.compensation.pivots_mm
+    held: dict[int, float | None] = {500: 1.0, 502: 0.002, 503: 0.01, 504: 3.0, 505: 1.0}
+    held[120] = machine.nc.clock_s + 100.0
+    held[506] = block_check(configuration.cnc.macros, outputs, held, pivots_mm)
+    for number, value in held.items():
+        machine.nc.macros.set(number, value)
+    while machine.nc.sequence_number != 900 or machine.nc.positions_mm["Z"] == PIVOT_MM:
+        machine.advance(machine.time_s + 1.0)
+        machine.nc.macros.set(120, machine.nc.clock_s + 100.0)
+        held[120] = machine.nc.macros.get(120)
+        machine.nc.macros.set(506, block_check(configuration.cnc.macros, outputs, held, pivots_mm))
+    machine.advance(machine.time_s + 4.0)
+    there_mm = machine.nc.positions_mm["Z"]
+    assert machine.nc.sequence_number == 900 and machine.nc.macros.get(515) == 0.0
+    moved_um = 2.0 + 10.0 * 1e-3 * (there_mm - PIVOT_MM)
+    for _ in range(2):
+        truth = machine.truth()["z"]
+        assert truth.compensated_um - truth.uncompensated_um == pytest.approx(moved_um, abs=0.11)
+        machine.advance(machine.time_s + 30.0)
+    assert machine.nc.positions_mm["Z"] != there_mm, "in the next cut it stands elsewhere, with the same offset"
