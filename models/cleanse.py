@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from models.quality import Quality, Reason
+from models.quality import ACCEPTED, GOOD, Quality, Reason
 from models.records import CodeArray, FloatArray
 
 IntArray = npt.NDArray[np.int64]
@@ -214,7 +214,7 @@ def _all_near(
     near = change_degc <= min(rules.noise_degc, rules.max_change_degc)  # a NaN is not
     near &= measured_degc >= rules.min_degc
     near &= measured_degc <= rules.max_degc
-    near &= quality == Quality.GOOD
+    near &= quality == GOOD
     near &= now_s - state.accepted_at_s[indices] <= rules.stale_after_s
     if not near.all():
         return None
@@ -222,8 +222,8 @@ def _all_near(
     return CleansingResult(
         state=_updated(state, indices, near, measured_degc, now_s, np.full(count, np.nan), np.zeros(count, np.int64)),
         degc=measured_degc.copy(),
-        quality=np.full(count, Quality.GOOD, dtype=np.uint8),
-        reason=np.full(count, Reason.NONE, dtype=np.uint8),
+        quality=np.full(count, GOOD, dtype=np.uint8),
+        reason=np.full(count, ACCEPTED, dtype=np.uint8),
         returned=np.zeros(count, dtype=np.bool_),
         new_level=np.zeros(count, dtype=np.bool_),
         straight=np.zeros(count, dtype=np.bool_),

@@ -44,6 +44,11 @@ class Reason(IntEnum):
     """A displacement channel of another source, which brings rows of its own."""
 
 
+GOOD, ACCEPTED = int(Quality.GOOD), int(Reason.NONE)
+"""`Quality.GOOD` and `Reason.NONE` as plain numbers: an array is compared with a member of an enumeration five times as
+slowly, which counts on the way to the CNC."""
+
+
 def describe(reason: Reason | int) -> str:
     """Return the reason in words for a log, the monitor or a report."""
     return _WORDS[Reason(reason)]

@@ -196,7 +196,7 @@ def _judged(
     for place in np.flatnonzero(judged):
         index = int(seen.indices[place])
         off_k, spread_k, near_k = float(seen.jump_k[place]), np.inf, OWN_K
-        if (then := levels.left.get(index)) is not None:
+        if seen.jump_k[place] == 0.0 and (then := levels.left.get(index)) is not None:
             off_k, spread_k, near_k = _departure(index, then, group, degc, (seen.now_s - then.at_s) / 60.0)
         elif seen.returned[place]:
             continue

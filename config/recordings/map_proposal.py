@@ -35,6 +35,7 @@ _FORMATS = tuple(
     for date in ("%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%d-%m-%Y", "%Y%m%d", "%d %b %Y")
     for time in ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
 )
+_MILLISECONDS = re.compile(r"\bms(ec)?\b|_ms$|milli")
 _OF_DAY = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p")
 
 
@@ -141,10 +142,16 @@ def _time_keys(columns: dict[str, list[str]], described: dict[str, str], notes: 
                     return {"time": name, "date": date, **whole}
             return {"time": name, **form}
     for name in times:
+        if _MILLISECONDS.search(described[name]):
+            notes.append(f"{name!r} seems to be in milliseconds, which a map cannot say: divide the column by 1000")
+            continue
         if _numbers(columns[name]) and _increases(
             [number for text in columns[name] if (number := _number(text)) is not None]
         ):
             return {"time": name, "time_unit": _unit(described[name], name, notes)}
+    for name in (*times, *dates):
+        if _time_form([*dict.fromkeys(columns[name])]) is not None:
+            notes.append(f"{name!r} says the same time in rows one after the other: export it with seconds")
     return {}
 
 

@@ -79,6 +79,11 @@ class RecordingMap(Section):
             raise KeyProblems(problems)
         return self
 
+    @property
+    def local_times(self) -> bool:
+        """Times may be those of a wall clock whose zone the map does not say."""
+        return self.time_zone is None and (self.time_format is not None or self.time_unit == "iso")
+
     def _time_problems(self) -> Iterator[tuple[str, str]]:
         of_text = self.time_format is not None or self.time_unit == "iso"
         if self.time_format is not None and self.time_unit != "s":

@@ -1,8 +1,8 @@
 """Recordings for training from the daemon's own history: one-minute means, displacements without what was applied.
 
-Displacement sensors feel what the NC applies, so the machine's own error is measured minus applied (the
-guard's echo, minute by minute). Where compensation may have been on and the echo is unknown, the minute has
-no displacement.
+Displacement sensors feel what the NC applies, so the machine's own error is measured minus applied (the guard's echo,
+minute by minute; of an axis with a slope, where it stood). Where compensation may have been on and what was applied is
+unknown, the minute has no displacement; nor while a FANUC or LinuxCNC applies a slope, for where the guard was called.
 """
 
 from collections.abc import Iterator, Mapping
@@ -15,8 +15,10 @@ from config.schema import Configuration
 from daemon.cnc.limits import commissioned_factors
 from daemon.history.reader import HistoryReader
 from daemon.history.series import CncHistory
+from drivers.guard.sloped_axes import SlopedAxis, added_um, sloped_axes
 from models.recordings.dataset import DatasetError, Recording
 from models.records import FloatArray
+from models.thermal.features import BoolArray
 
 MINUTE_S = 60.0
 WINDOW_S = 6 * 3600.0
@@ -43,6 +45,12 @@ class Minutes:
     degc: FloatArray
     own_um: FloatArray
     """Displacements minus what was applied [um], shape (n, n_channels)."""
+    applied_um: FloatArray
+    """What was applied [um], shape (n, n_channels)."""
+    along_m: FloatArray
+    """Distance of each channel's axis from its slope's pivot [m], NaN where it was not read; 0 without a slope."""
+    measured: BoolArray
+    """Where anything was measured, shape (n, n_channels)."""
     positions_mm: FloatArray
     """Axis positions [mm], in the order of `cnc.axis_positions`, shape (n, n_axes)."""
     file: tuple[str, ...]
@@ -77,9 +85,8 @@ def recordings_from_history(
     """Return the stretches with displacements that are long enough to train on.
 
     `um_per_unit` is what one unit of an axis' echo macro means [um]; None on a machine that was never
-    commissioned, where nothing can have been applied. With `positions` the axis positions are inputs too, which a model
-    without a watch of its sensors pays for. Raises DatasetError without a measured channel that
-    an axis follows, and when no stretch is long enough.
+    commissioned, where nothing can have been applied. With `positions` the axis positions are inputs too. Raises
+    DatasetError without a measured channel that an axis follows, and when no stretch is long enough.
     """
     channels = used_channels(configuration)
     if not channels:
@@ -94,9 +101,15 @@ def recordings_from_history(
     if not found:
         raise DatasetError(
             f"the history has no {LEAST_MIN} minutes in a row with displacements of {', '.join(channels)}; "
-            "leave the sensors in place for longer"
+            f"leave the sensors in place for longer{_why_unknown(configuration, channels)}"
         )
     return found
+
+
+def _why_unknown(configuration: Configuration, channels: Mapping[str, str]) -> str:
+    """Return what else may be why nothing was measured that counts, on axes whose slope counts for somewhere else."""
+    sloped = [one for axis, one in sloped_axes(configuration).items() if axis in channels.values()]
+    return "".join(f"; of axis {one.axis}: {one.unknown_share}" for one in sloped if one.unknown_share)
 
 
 def commissioned_um_per_unit(configuration: Configuration) -> dict[str, float] | None:
@@ -116,8 +129,13 @@ def minutes_of_history(
     um_per_unit: Mapping[str, float] | None,
     from_utc_s: float,
     to_utc_s: float,
+    *,
+    temperatures: bool = True,
 ) -> Iterator[Minutes]:
-    """Yield one-minute means, piece by piece, as far as displacements were measured."""
+    """Yield one-minute means, piece by piece, as far as displacements were measured.
+
+    Without `temperatures` those have no columns.
+    """
     extent = reader.extent("displacements")
     if extent is None:
         return
@@ -125,7 +143,8 @@ def minutes_of_history(
     end_s = min(to_utc_s, extent[1] + MINUTE_S)
     while start_s < end_s:
         stop_s = min(start_s + WINDOW_S, end_s)
-        piece = _piece(configuration, reader, channels, um_per_unit, start_s, stop_s)
+        sensor_ids = configuration.temperatures.sensor_ids if temperatures else ()
+        piece = _piece(configuration, reader, channels, um_per_unit, sensor_ids, start_s, stop_s)
         if piece is not None:
             yield piece
         start_s += WINDOW_S
@@ -136,6 +155,7 @@ def _piece(
     reader: HistoryReader,
     channels: Mapping[str, str],
     um_per_unit: Mapping[str, float] | None,
+    sensor_ids: tuple[int, ...],
     start_s: float,
     stop_s: float,
 ) -> Minutes | None:
@@ -145,23 +165,29 @@ def _piece(
     first = round(start_s / MINUTE_S)
     count = max(int(np.ceil((stop_s - start_s) / MINUTE_S)), 1)
     raw = np.column_stack([displacements.um.get(name, np.full(len(displacements.time_s), np.nan)) for name in channels])
-    um = _means(displacements.time_s, raw, first, count)
-    cnc = reader.cnc(start_s, stop_s)
+    um = means(displacements.time_s, raw, first, count)
+    cnc, sloped = reader.cnc(start_s, stop_s), sloped_axes(configuration)
+    along_m = np.column_stack([_along_m(cnc, sloped.get(axis)) for axis in channels.values()])
     applied_um = np.zeros((count, len(channels)))
     if um_per_unit is not None:
-        echo = [_echo_um(configuration, cnc, axis, um_per_unit[axis]) for axis in channels.values()]
-        applied_um = _means(cnc.time_s, np.column_stack(echo), first, count)
-    temperatures = reader.temperatures(configuration.temperatures.sensor_ids, start_s - LEAD_S, stop_s)
-    degc = _means(temperatures.time_s, temperatures.cleansed(), first, count)
+        echo = [_where_it_stood_um(configuration, cnc, axis, um_per_unit, sloped) for axis in channels.values()]
+        applied_um = means(cnc.time_s, np.column_stack(echo), first, count)
+    degc = np.empty((count, 0))
+    if sensor_ids:
+        history = reader.temperatures(sensor_ids, start_s - LEAD_S, stop_s)
+        degc = means(history.time_s, history.cleansed(), first, count)
     named = zip(displacements.time_s.tolist(), displacements.source, strict=True)
     files = {int(time_s // MINUTE_S): file for time_s, source in named if (file := source.rpartition(":")[0])}
     minute = first + np.arange(count)
     return Minutes(
         minute=minute.astype(np.float64),
-        speed_rpm=_means(cnc.time_s, cnc.spindle_speed_rpm[:, None], first, count)[:, 0],
+        speed_rpm=means(cnc.time_s, cnc.spindle_speed_rpm[:, None], first, count)[:, 0],
         degc=degc,
         own_um=um - applied_um,
-        positions_mm=_means(cnc.time_s, _positions_mm(configuration, cnc), first, count),
+        applied_um=applied_um,
+        along_m=means(cnc.time_s, along_m, first, count),
+        measured=np.isfinite(um),
+        positions_mm=means(cnc.time_s, _positions_mm(configuration, cnc), first, count),
         file=tuple(files.get(int(number), "") for number in minute),
     )
 
@@ -173,13 +199,36 @@ def _positions_mm(configuration: Configuration, cnc: CncHistory) -> FloatArray:
     return np.array([cnc.positions_mm.get(name, none) for name in named]).reshape(len(named), len(none)).T
 
 
+def _along_m(cnc: CncHistory, one: SlopedAxis | None) -> FloatArray:
+    """Return how far an axis stood from its slope's pivot in each poll [m]."""
+    none = np.full(len(cnc.time_s), np.nan)
+    return np.zeros(len(none)) if one is None else one.along_m(cnc.positions_mm.get(one.position or "", none))
+
+
+def _where_it_stood_um(
+    configuration: Configuration,
+    cnc: CncHistory,
+    axis: str,
+    um_per_unit: Mapping[str, float],
+    sloped: Mapping[str, SlopedAxis],
+) -> FloatArray:
+    """Return what an axis was moved by in each poll, where it stood: at its slope's pivot if that is not read [um]."""
+    um = _echo_um(configuration, cnc, axis, um_per_unit[axis])
+    if (one := sloped.get(axis)) is None:
+        return um
+    per_m = _echo_um(configuration, cnc, one.slope, um_per_unit[one.slope])
+    if not one.follows:
+        return np.asarray(um + added_um(per_m, np.nan))
+    return um if one.position is None else np.asarray(um + added_um(per_m, _along_m(cnc, one)))
+
+
 def _echo_um(configuration: Configuration, cnc: CncHistory, axis: str, um_per_unit: float) -> FloatArray:
     number = configuration.cnc.macros.echo_applied[axis]
     values = cnc.macros.get(number)
     return np.full(len(cnc.time_s), np.nan) if values is None else values * um_per_unit
 
 
-def _means(time_s: FloatArray, values: FloatArray, first: int, count: int) -> FloatArray:
+def means(time_s: FloatArray, values: FloatArray, first: int, count: int) -> FloatArray:
     """Return the mean of the known values in each minute, NaN where there is none, shape (count, columns)."""
     place = np.floor(time_s / MINUTE_S).astype(np.intp) - first
     inside = (place >= 0) & (place < count)

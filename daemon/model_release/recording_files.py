@@ -10,8 +10,14 @@ from config.files import write_whole
 from config.recordings.recording_map import ColumnError, resolve_columns, usual_map
 from config.schema import Configuration
 from daemon.history.reader import HistoryReader
-from daemon.model_release.past_recordings import began_utc_s, commissioned_um_per_unit, recordings_from_history
+from daemon.model_release.past_recordings import (
+    began_utc_s,
+    commissioned_um_per_unit,
+    recordings_from_history,
+    used_channels,
+)
 from drivers.files.recording_csv import write_recording
+from drivers.guard.sloped_axes import sloped_axes
 from models.recordings.dataset import Recording
 from models.records import FloatArray
 
@@ -33,7 +39,7 @@ def write_recordings(
     paths = [output if len(found) == 1 else output.with_stem(f"{output.stem}-{n}") for n in range(1, len(found) + 1)]
     for path, recording in zip(paths, found, strict=True):
         _write(path, recording, configuration.machine, um_per_unit)
-    if (keys := _map_keys(found[0])) is not None:
+    if (keys := _map_keys(found[0], _slopes(configuration, found[0]))) is not None:
         paths.append(output.with_suffix(".map.yaml"))
         write_whole(paths[-1], yaml.safe_dump(keys, sort_keys=False, allow_unicode=True))
     return paths
@@ -55,8 +61,22 @@ def _write(path: Path, recording: Recording, machine: str, um_per_unit: Mapping[
     write_recording(path, metadata, columns)
 
 
-def _map_keys(recording: Recording) -> dict[str, object] | None:
-    """Return the map of a recording's columns; None where they carry the usual names."""
+def _slopes(configuration: Configuration, recording: Recording) -> dict[str, dict[str, object]]:
+    """Return which displacements become an offset and a slope: those of axes that have one and are read."""
+    found: dict[str, dict[str, object]] = {}
+    sloped = sloped_axes(configuration)
+    for channel, axis in used_channels(configuration).items():
+        one = sloped.get(axis)
+        if channel in recording.displacement_names and one is not None and one.position is not None:
+            found[channel] = {"position": one.position, "pivot_mm": one.pivot_mm}
+    return found
+
+
+def _map_keys(recording: Recording, slopes: Mapping[str, Mapping[str, object]]) -> dict[str, object] | None:
+    """Return the map of a recording's columns; None where they carry the usual names.
+
+    A position that tells a slope is no input of the model: the control itself adds the slope where the axis stands.
+    """
     header = [TIME, SPEED, *recording.temperature_names, *recording.displacement_names]
     try:
         usual = resolve_columns(usual_map(header), header)
@@ -65,6 +85,9 @@ def _map_keys(recording: Recording) -> dict[str, object] | None:
     except ColumnError:
         pass
     speed = {} if recording.speed_rpm is None else {"speed": SPEED}
-    positions = {"axis_positions": list(recording.axis_positions)} if recording.axis_positions else {}
+    inputs = [name for name in recording.axis_positions if name not in {one["position"] for one in slopes.values()}]
+    positions: dict[str, object] = {"axis_positions": inputs} if inputs else {}
+    if slopes:
+        positions["slopes"] = slopes
     names = {"temperatures": list(recording.temperature_names[: recording.sensors])}
-    return {"time": TIME, **speed, **names, **positions, "displacements": list(recording.displacement_names)}
+    return {"time": TIME, **speed, **names, "displacements": list(recording.displacement_names), **positions}

@@ -13,8 +13,9 @@ from config.records.release_record import PreviousRelease, ReleaseRecord
 from config.schema import Configuration
 from config.signing import SigningError, SigningKey, TrustedKeys
 from daemon.model_release.file_access import account_of_daemon, how_it_could_change
-from daemon.model_release.gate import channels_in_use, gate_inhibit, policy_inhibit
+from daemon.model_release.gate import channels_in_use
 from daemon.model_release.loading import Named, model_from_text
+from daemon.model_release.release_checks import gate_inhibit, policy_inhibit
 from daemon.model_release.repository import ReleaseError, ReleaseRepository, proposals_folder
 from models.thermal.family import ThermalModel
 

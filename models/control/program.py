@@ -64,6 +64,15 @@ def clock_restarted(advance_s: float, elapsed_s: float) -> bool:
     return advance_s < elapsed_s - max(2.0 * CLOCK_STEP_S, CLOCK_DRIFT * elapsed_s)
 
 
+def stood_still_s(advance_s: float, elapsed_s: float) -> float:
+    """Return for how long our clock stood while the CNC's went on [s], 0 where it did not.
+
+    That is what a computer that slept, or a virtual one that was paused, leaves: its monotonic clock shows no gap.
+    """
+    stood_s = advance_s - elapsed_s
+    return stood_s if stood_s > max(CLOCK_STEP_S, CLOCK_DRIFT * elapsed_s) else 0.0
+
+
 def clocks_differ(advance_s: float, elapsed_s: float) -> bool:
     """Whether the CNC's clock went on by less or by more than the time that has passed here."""
     return abs(advance_s - elapsed_s) > max(2.0 * CLOCK_STEP_S, CLOCK_DRIFT * abs(elapsed_s))

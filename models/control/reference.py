@@ -14,7 +14,7 @@ from enum import StrEnum
 from types import MappingProxyType
 
 from models.control.positioning import may_be_missed, seen_of
-from models.control.program import in_part_program, positioning_passed, power_cycled
+from models.control.program import in_part_program, positioning_passed, power_cycled, stood_still_s
 from models.control.reference_records import (
     Announcement,
     Effect,
@@ -39,6 +39,10 @@ CLOCK_WENT_BACK = "the CNC's clock went back: it was switched off and on"
 Step = tuple[ReferenceMemory, tuple[Effect, ...]]
 """The memory after an event, and what follows from it."""
 
+LONGEST_STAND_S = 60.0
+"""When this computer stood still for longer while the CNC went on, no reference holds, whatever the CNC proves [s]."""
+LONGEST_STAND_DWELLS = 4.0
+"""But on a clock that runs ahead not before so many dwells: there a moment of the wall clock is long."""
 LABEL_AWAY_S = 25.0
 """A label without a value for so long has been away: it has one with every cycle [s]."""
 EVER_SEEN: Mapping[str, float] = MappingProxyType({})
@@ -398,8 +402,15 @@ def _unanswered(memory: ReferenceMemory, sample: CncSample, rules: ReferenceRule
 def _missed(memory: ReferenceMemory, previous: CncSample, sample: CncSample, rules: ReferenceRules) -> str:
     """Return why a positioning may have been missed between two polls, '' when none can have been."""
     gap_s = sample.time.monotonic_s - memory.asked_s
+    stood_s = stood_still_s(sample.clock_s - previous.clock_s, gap_s)
+    if stood_s > max(LONGEST_STAND_S, LONGEST_STAND_DWELLS * rules.positioning_dwell_s):
+        return (
+            f"the CNC's clock went on by {stood_s:.0f} s more than this computer's, which slept or was paused: what is "
+            "known of the temperatures in time is wrong by that; let it never sleep, and position the work again"
+        )
     if memory.in_force is not None and memory.record is not None:
         by_handshake = memory.record.by_handshake
     else:
         by_handshake = all(asked.handshake for asked in memory.requests)
+    gap_s += stood_s
     return may_be_missed(seen_of(previous, rules), seen_of(sample, rules), gap_s, rules, by_handshake=by_handshake)

@@ -44,6 +44,8 @@ class ReferenceRules:
     """After a longer outage of the daemon nothing is resumed [s]."""
     guard_programs: frozenset[int] = frozenset()
     """Programs that part programs call for us."""
+    counts_with: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    """What a reference is worth nothing without, in words, each with a text that changes when it does."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,6 +167,8 @@ class ReferenceDocument:
     """The handshake's counter when this was kept."""
     seen: CncSeen | None = None
     """The latest poll that was kept."""
+    counts_with: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    """`ReferenceRules.counts_with` of the run that kept it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,7 +31,14 @@ def document_of(memory: ReferenceMemory, rules: ReferenceRules, request_counter:
     if state is ReferenceState.REQUESTED:
         state = ReferenceState.NONE if memory.record is None else ReferenceState.ENDED
     seen = None if memory.sample is None else seen_of(memory.sample, rules)
-    return ReferenceDocument(state=state, record=memory.record, ended=ended, request_counter=request_counter, seen=seen)
+    return ReferenceDocument(
+        state=state,
+        record=memory.record,
+        ended=ended,
+        request_counter=request_counter,
+        seen=seen,
+        counts_with=rules.counts_with,
+    )
 
 
 def restart(
@@ -71,7 +78,7 @@ def restart(
     effects: tuple[Effect, ...] = ()
     if left.state is ReferenceState.VALID:
         why = end_of_reference(record.reference, sample) or _not_resumed(left, record, sample, rules, request_counter)
-        if not (why := why or _not_counted(record, axes, model_id)):
+        if not (why := why or _counts_otherwise(left, rules) or _not_counted(record, axes, model_id)):
             memory = moved(replace(memory, record=record, ended=""), in_force=True)
             taken_up = ReferenceTakenUp(reference=record.reference, sensors=record.sensors)
             return memory, (taken_up, Announcement(kind="reference", text=f"taken up again: {source}"))
@@ -83,6 +90,7 @@ def restart(
         return memory, effects
     numbers = ", ".join(f"T{number}" for number in sorted(tools))
     why = SWITCHED_OFF if record.reference.power_on_count != sample.power_on_count else _unseen(left, sample, rules)
+    why = why or _counts_otherwise(left, rules)
     if not why and record.baseline.model_id != model_id:
         why = f"they belong to model {record.baseline.model_id}, the model is now {model_id}"
     if why:
@@ -152,6 +160,12 @@ def _unseen(left: ReferenceDocument, sample: CncSample, rules: ReferenceRules) -
             "control was switched off and on, or a clock was set"
         )
     return ""
+
+
+def _counts_otherwise(left: ReferenceDocument, rules: ReferenceRules) -> str:
+    """Return what was changed since, without which nothing that was kept may be counted from; '' when nothing was."""
+    changed = [what for what, mark in left.counts_with.items() if rules.counts_with.get(what, mark) != mark]
+    return f"{' and '.join(changed)} changed while the daemon was away" if changed else ""
 
 
 def _not_counted(record: ReferenceRecord, axes: tuple[str, ...], model_id: str | None) -> str:

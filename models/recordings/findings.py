@@ -11,6 +11,7 @@ from models.recordings.dataset import DatasetError, Recording
 from models.recordings.plausibility import (
     HIGHEST_DEGC,
     LOWEST_DEGC,
+    are_rises,
     impossible_displacements,
     impossible_speeds,
     impossible_temperatures,
@@ -24,6 +25,12 @@ WARMING_K = 2.0
 """A temperature span that moves any machine tool by more than `SMALLEST_SPAN_UM`."""
 LARGEST_SPAN_UM = 5000.0
 """A channel that moves more is not in micrometres (no displacement sensor of a nest reaches so far)."""
+STILL_UM = 0.1
+"""A channel that moves by less, and moves, while the machine warms, is not in micrometres: no sensor is so quiet."""
+KELVIN_BELOW = 400.0
+"""What is no temperature in degC may be one in kelvin below this."""
+CLOCK_CHANGE_S = 3600.0
+"""So far a wall clock jumps in spring [s]."""
 MOST_NAMED = 3
 """So many recordings are named of which the same is said."""
 WARMEST_START_DEGC = 50.0
@@ -90,7 +97,18 @@ def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording],
     disagreeing = [
         f"{possible[found.recording].name}: {_disagreement(possible, found)}" for found in disagreements(possible)
     ]
-    return possible, (*disagreeing, *warnings)
+    return possible, (*disagreeing, *_rises(possible), *warnings)
+
+
+def _rises(recordings: Sequence[Recording]) -> list[str]:
+    """Return what is said of recordings that hold rises since the start, not temperatures."""
+    rises = [one for one in recordings if are_rises(one.temperatures_degc[:, : one.sensors])]
+    some = "in these recordings alone; add what each sensor read at the start, as in the others"
+    every = "the model goes by changes since a reference alone, also where it tells how far it may be trusted"
+    sentence = (
+        f"all temperatures begin at 0, so they are rises since the start: {some if rises != recordings else every}"
+    )
+    return said_together([(one.name, sentence) for one in rises])
 
 
 def said_together(sentences: Sequence[tuple[str, str]]) -> list[str]:
@@ -141,7 +159,10 @@ def _rows(recording: Recording, rows_together: int | None) -> Iterator[Finding]:
         return
     time_s = recording.time_s
     for first, _ in contiguous_runs(time_s, recording.sample_s)[1:]:
-        sentence = f"a gap of {time_s[first] - time_s[first - 1]:g} s before this row; no difference is taken across it"
+        gap_s = time_s[first] - time_s[first - 1]
+        sentence = f"a gap of {gap_s:g} s before this row; no difference is taken across it"
+        if abs(gap_s - recording.sample_s - CLOCK_CHANGE_S) < 1.0:
+            sentence += "; where clocks were set to summer time there, say time_zone in the map"
         yield _warning("time", recording.rows_before + first + 1, sentence)
 
 
@@ -176,7 +197,7 @@ def _columns(recording: Recording) -> Iterator[Finding]:
     for name, column in columns:
         missing = ~np.isfinite(column)
         if not len(column) or missing.all():
-            yield _error(name, None, "no value at all; take the column out of the map")
+            yield _error(name, None, "no value at all; take the column out of the map, or leave this recording out")
             continue
         if missing.any():
             row = recording.rows_before + int(np.argmax(missing)) + 1
@@ -197,8 +218,9 @@ def _temperature_units(recording: Recording) -> Iterator[Finding]:
             continue
         median = float(np.median(known))
         if median > HIGHEST_DEGC:
-            unit = "kelvin; subtract 273.15" if median < 400.0 else "raw counts; convert them"
-            yield _error(name, None, f"a median of {median:.4g} cannot be degC; it looks like {unit}")
+            unit = "kelvin; subtract 273.15" if median < KELVIN_BELOW else "raw counts or an open wire"
+            advice = "" if median < KELVIN_BELOW else "; convert it, or take the column out of the map"
+            yield _error(name, None, f"a median of {median:.4g} cannot be degC; it looks like {unit}{advice}")
         elif median < LOWEST_DEGC:
             sentence = f"a median of {median:.4g} cannot be degC; is it connected? Else take it out of the map"
             yield _error(name, None, sentence)
@@ -230,10 +252,19 @@ def _displacement_units(recording: Recording) -> Iterator[Finding]:
         name = max(spans_um, key=lambda channel: spans_um[channel])
         sentence = (
             f"no displacement moves by more than {widest:.3g} while temperatures change by {warmed_k:.3g} K; "
-            "that looks like millimetres; say so in the map: displacement_units. Where they are micrometres, nothing "
+            "that looks like millimetres; say so in the map: displacement_units (of one recording alone: multiply "
+            "its columns by 1000). Where they are micrometres, nothing "
             "can be learned from this recording: record one in which the axis warms"
         )
         yield _error(name, None, sentence)
+        return
+    for name, span_um in spans_um.items():
+        if warmed_k > WARMING_K and 0.0 < span_um < STILL_UM:
+            sentence = (
+                f"moves by no more than {span_um:.3g} while temperatures change by {warmed_k:.3g} K; that looks like "
+                f"millimetres; say so in the map: displacement_units: {{{name!r}: mm}}. Else leave the channel out"
+            )
+            yield _warning(name, None, sentence)
 
 
 def _spans(names: tuple[str, ...], table: FloatArray) -> dict[str, float]:

@@ -13,6 +13,8 @@ FARTHEST_UM = 5000.0
 """No displacement sensor of a nest reaches so far from where it is most of the time."""
 USUAL_SPREAD_UM = 500.0
 """A channel whose values typically lie farther than this from their median is not in micrometres at all."""
+RISE_START_K = 0.5
+"""Where every temperature begins so near to zero, rises since the start were recorded: no workshop is so cold."""
 HIGHEST_RPM = 500_000.0
 """No spindle turns faster [1/min]."""
 
@@ -28,6 +30,15 @@ def impossible_temperatures(degc: FloatArray) -> BoolArray:
     `degc`, shape (n, n_sensors): temperatures [degC], NaN where missing.
     """
     return _of_few((degc < LOWEST_DEGC) | (degc > HIGHEST_DEGC), degc)
+
+
+def are_rises(degc: FloatArray) -> bool:
+    """Return whether temperatures are rises since the start: each begins at zero.
+
+    `degc`, shape (n, n_sensors): temperatures [degC], NaN where missing.
+    """
+    known = [column[np.isfinite(column)] for column in degc.T]
+    return bool(known) and all(len(values) and abs(values[0]) <= RISE_START_K for values in known)
 
 
 def impossible_displacements(displacements_um: FloatArray) -> BoolArray:

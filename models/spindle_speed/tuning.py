@@ -134,6 +134,8 @@ class SpindleSpeedCommand:
     feed_mm_min: float
     state: SpeedState
     reason: str
+    due: bool
+    """A safe block would change the pair now."""
     write: bool
     """Only at a safe block, and only when the pair changes."""
     jump: bool = False
@@ -174,7 +176,8 @@ def step(
     moved, jump = _moved(memory, inputs, settings, target)
     if inputs.phase is not Phase.SAFE_POINT and state is not SpeedState.OFF:
         reason = f"{reason}; waiting for a safe block" if moved != memory.commanded_rpm else reason
-    write = inputs.phase is Phase.SAFE_POINT and moved != memory.commanded_rpm
+    due = moved != memory.commanded_rpm
+    write = due and inputs.phase is Phase.SAFE_POINT
     if inputs.phase is Phase.SAFE_POINT:
         memory = replace(
             memory,
@@ -187,6 +190,7 @@ def step(
         feed_mm_min=feed_mm_min(inputs, settings, memory.commanded_rpm),
         state=SpeedState.HOLD if inputs.phase is Phase.CUTTING and state is SpeedState.TUNED else state,
         reason=reason,
+        due=due,
         write=write,
         jump=jump and write,
         alarm=alarm,

@@ -25,15 +25,16 @@ from models.thermal.watch import SensorFault, Watcher, WatchState
 SETTLED_LAGS = 4.0
 """So many times the longest lag of history fill the states."""
 DOMAIN_MARGIN_K = 0.5
-"""A temperature may leave its range of training on both sides by the range's width, by the median width of all, because
+"""A temperature may change by more than training saw by the width of its range, by the median width of all, because
 that one hardly moved may be luck, and by this [K]: eight steps of a TMP102, so that noise is no departure."""
+SEASON_K = 20.0
+"""Its level may leave the range by this [K], too: a hall in another season. Beyond, it is no sensor of this machine."""
 
 
 class LinearEstimator:
     """A linear model, prepared once; every method is pure in the state.
 
-    `model`: the model. `components`: machine component of each sensor of the model, in its order; empty: all are on
-    one.
+    `components`: machine component of each sensor of the model, in its order; empty: all are on one.
     """
 
     def __init__(self, model: LinearParameters, components: Sequence[str] = ()) -> None:
@@ -44,7 +45,8 @@ class LinearEstimator:
         beside = np.array([names.index(each) for each in components], dtype=np.intp) if components else None
         self.left_out = LeftOut(model, beside)
         self._watcher = None if model.watch is None else Watcher(model.watch)
-        self._lowest, self._highest = widened(model.domain, model.layout.sensors - len(model.axis_positions))
+        self._watched_sensors = model.layout.sensors - len(model.axis_positions)
+        self._lowest, self._highest, self._farthest = widened(model.domain, self._watched_sensors)
         self._bridge_min = max(BRIDGE_MIN, 2.5 * model.period_min)
         self._past = KnownHistory(model, self._bridge_min)
         self.history_min = SETTLED_LAGS * max((*model.layout.lags_min, *model.layout.speed_lags_min), default=0.0)
@@ -67,7 +69,7 @@ class LinearEstimator:
 
         """
         self._require(time_min, degc)
-        model = self.model
+        model, temperatures = self.model, degc[: self._watched_sensors]
         known = np.isfinite(degc)
         filled = np.where(known, degc, model.centre[: model.layout.sensors])
         speed = speed_rpm if np.isfinite(speed_rpm) else 0.0
@@ -85,7 +87,7 @@ class LinearEstimator:
             lagged=lagged,
             known_lagged=lagged,
             speed_lagged=np.tile(inputs, (len(model.layout.speed_lags_min), 1)),
-            watch=None if self._watcher is None else self._watcher.begin(time_min, degc, speed_rpm),
+            watch=None if self._watcher is None else self._watcher.begin(time_min, temperatures, speed_rpm),
         )
 
     def _require(self, time_min: float, degc: FloatArray) -> None:
@@ -194,7 +196,7 @@ class LinearEstimator:
         """Return the watch's state: it looks as often as in training, because its limits on slew are from there."""
         if self._watcher is None or watch is None or time_min - watch.time_min < 0.999 * self.model.period_min:
             return watch
-        return self._watcher.step(watch, time_min, degc, speed_rpm, find_faults=find_faults)
+        return self._watcher.step(watch, time_min, degc[: self._watched_sensors], speed_rpm, find_faults=find_faults)
 
     def rebuild(
         self, samples: Iterable[tuple[float, FloatArray, float]], *, bridged: bool = False
@@ -236,7 +238,8 @@ class LinearEstimator:
         counted = np.ones(sensors, dtype=np.bool_)
         counted[list(excluded)] = False
         seen = change[:sensors] if self.model.domain.of_increments else state.degc
-        outside = counted & ((seen < self._lowest) | (seen > self._highest))
+        outside = (seen < self._lowest) | (seen > self._highest) | (np.abs(change[:sensors]) > self._farthest)
+        outside &= counted
         distance, unknown_share, imputed_um = self.left_out.distance(change, excluded)
         near = far_confidence(distance, unknown_share)
         near *= fast_confidence(state.speed_rpm, self.model.domain.highest_speed_rpm)
@@ -257,21 +260,21 @@ class LinearEstimator:
         return tuple(self.model.sensor_ids[index] for index in indices)
 
     def reinitialised(self, state: ModelState, sensors: Sequence[int]) -> ModelState:
-        """Return the state in which sensors (indices) that were missing are watched anew, see `Watcher.reinitialised`.
-
-        A model without a watch has nothing to begin anew.
-        """
+        """Return the state in which sensors (indices) that were missing are watched anew, where there is a watch."""
         if self._watcher is None or state.watch is None:
             return state
-        return replace(state, watch=self._watcher.reinitialised(state.watch, sensors))
+        watched = [sensor for sensor in sensors if sensor < self._watched_sensors]
+        return replace(state, watch=self._watcher.reinitialised(state.watch, watched))
 
 
-def widened(domain: Domain, temperatures: int) -> tuple[FloatArray, FloatArray]:
-    """Return from where to where inputs may go [degC, mm]; the first ones are so many temperatures."""
+def widened(domain: Domain, temperatures: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return from where to where inputs may go [degC, mm], and how far since the reference the first, temperatures."""
     width = domain.highest - domain.lowest
     usual_k = 0.0 if domain.of_increments else float(np.median(width[: temperatures or None]))
     more = np.maximum(width, max(usual_k, DOMAIN_MARGIN_K))
-    return domain.lowest - more, domain.highest + more
+    levels = (np.arange(len(width)) < temperatures) & (not domain.of_increments)
+    beyond = np.where(levels, np.maximum(more, SEASON_K), more)
+    return domain.lowest - beyond, domain.highest + beyond, np.where(levels, width + more, np.inf)
 
 
 def excluded_sensors(state: ModelState, reference: ModelState) -> tuple[int, ...]:
@@ -311,16 +314,9 @@ def worth_um(estimator: LinearEstimator, state: ModelState, reference: ModelStat
 def with_faults(model: LinearParameters, state: ModelState, signs: Mapping[int, str]) -> ModelState:
     """Return the state in which these sensors are excluded as well.
 
-    Parameters
-    ----------
-    model
-        The model of the state.
-    state
-        As it was rebuilt from the history, which does not tell who was excluded.
-    signs
-        IDs of sensors with the sign by which each was found, from `fault_signs`; IDs that the model does not
-        have are passed over, and so are all of them for a model without a watch.
-
+    `state`: as it was rebuilt from the history, which does not tell who was excluded. `signs`: IDs of sensors with the
+    sign by which each was found, from `fault_signs`; IDs that the model does not have are passed over, and so are all
+    of them for a model without a watch.
     """
     if state.watch is None:
         return state

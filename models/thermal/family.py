@@ -10,7 +10,6 @@ from models.control.probing import Wander
 from models.model_file import ModelError, family_of, parse, record_from, unsigned
 from models.records import FloatArray
 from models.thermal.estimation import Machine, OnlineModel
-from models.thermal.gaussian import gaussian_model
 from models.thermal.linear import LinearModel, linear_model
 from models.thermal.model import HyperParameters
 
@@ -115,9 +114,16 @@ class ThermalModel(Protocol):
 Loader = Callable[[bytes], ThermalModel]
 """Content of a file, whose checksum was found right -> the model; raises ModelError."""
 
+
+def _gaussian_model(content: bytes) -> ThermalModel:
+    from models.thermal.gaussian import gaussian_model  # noqa: PLC0415 - loaded only where such a model is
+
+    return gaussian_model(content)
+
+
 FAMILIES: dict[str, Loader] = {
     "linear": linear_model,
-    "gaussian": gaussian_model,
+    "gaussian": _gaussian_model,
 }
 """Family that a file names -> what reads the file."""
 

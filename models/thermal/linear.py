@@ -282,7 +282,7 @@ class LinearModel(LinearParameters):
     @property
     def period_s(self) -> float | None:
         """Time over which its inputs must be means [s]; None where it does not matter, without lags."""
-        return self.period_min * 60.0 if self.layout.lags_min else None
+        return self.period_min * 60.0 if self.layout.lags_min or self.layout.speed_lags_min else None
 
     def runtime(self, machine: Machine) -> LinearOnline:
         """Return the model in use on a machine."""

@@ -19,6 +19,8 @@ from models.thermal.start import StartDeviation
 TEST_TOLERANCE_UM = 1e-6
 """Test vectors are met within this [um]; summation order differs between computers."""
 
+CHANNEL_SCORES = "held_out_relative_rmse_by_channel"
+"""Hyper-parameter: RMSE with / without the model on what was left out, of each channel in the model's order."""
 HyperParameters = dict[str, float | int | str | bool | list[float]]
 
 
@@ -98,7 +100,7 @@ class LinearParameters:
     band_um: Numbers
     """Half width of the prediction band inside the domain [um], shape (n_channels,); NaN where nothing was held out."""
     watch: SensorWatch | None
-    """The watch of its sensors; None where it carries none."""
+    """The watch of its temperatures, which come before axis positions; None where it carries none."""
     hyper_parameters: HyperParameters
     refused: str | None
     """Why the gate refuses it; None when it may be activated."""
@@ -190,10 +192,9 @@ def _check_solutions(model: LinearParameters) -> None:
     for one in model.solutions:
         if one.layout != model.layout or one.weights.shape[1] != len(model.channels):
             raise ModelError("solutions", f"has shape {one.weights.shape}, or another layout than the model")
-    if model.watch is not None and model.watch.layout.sensors != model.layout.sensors:
-        raise ModelError(
-            "watch.layout.sensors", f"{model.watch.layout.sensors} where the model has {model.layout.sensors}"
-        )
+    temperatures = model.layout.sensors - len(model.axis_positions)
+    if model.watch is not None and model.watch.layout.sensors != temperatures:
+        raise ModelError("watch.layout.sensors", f"{model.watch.layout.sensors} where the model has {temperatures}")
     if (start := model.start) is not None:
         lags = len(model.layout.lags_min) + len(model.layout.speed_lags_min)
         if (start.covariance_um2.shape[-1], len(start.rest_degc)) != (lags, model.layout.sensors):

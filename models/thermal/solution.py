@@ -18,9 +18,9 @@ NO_DISTANCE = 16.0
 KNOWN_SHARE = 0.01
 """... the less, the smaller than this is the share of the change that training does not know: where it knows the
 direction so well, the ranges of temperatures and speed say how far is too far."""
-FULL_SPEED = 1.05
+FULL_SPEED = 1.5
 """Up to so many times the highest spindle speed of training, speed takes nothing from confidence ..."""
-NO_SPEED = 2.1
+NO_SPEED = 3.0
 """... and here it leaves nothing."""
 
 

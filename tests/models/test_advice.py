@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from models.recordings.dataset import Recording
-from models.thermal.training.advice import advice
+from models.thermal.training.advice import advice, worse_channels
+from models.thermal.training.evaluation import ResidualMetrics
 from models.thermal.training.inputs import Inputs, build_inputs
 
 
@@ -46,6 +47,26 @@ def test_one_short_run_is_told_both() -> None:
     few, short = said(inputs(1, 70), 0)
     assert few.startswith("no whole run") and "record 5 more runs of about 4 h" in few
     assert "the longest run lasts 69 min" in short and "one run of 4 h" in short
+
+
+def test_blocks_of_one_run_are_no_whole_runs() -> None:
+    assert said(inputs(1, 180), 5)[0].startswith("no whole run"), "five blocks without spindle speed"
+    assert said(inputs(2, 180), 5)[0].startswith("2 whole run(s)")
+
+
+def test_a_channel_that_is_no_better_with_the_model_is_named_with_what_to_do() -> None:
+    columns = np.array([[30.0, 4.0, 0.0], [90.0, 9.0, 0.0], [2.0, 5.0, 0.0], [6.0, 12.0, 0.0]])
+    metrics = ResidualMetrics(
+        channels=("Weg Z", "y", "x"),
+        rmse_without_um=columns[0],
+        max_without_um=columns[1],
+        rmse_with_um=columns[2],
+        max_with_um=columns[3],
+    )
+    (sentence,) = worse_channels(metrics)
+    assert sentence.startswith("channel y: on what was left out the model leaves 5 um of 4 um")
+    assert "--channels 'Weg Z,x'" in sentence and "record 2 more runs" in sentence
+    assert worse_channels(metrics, explained=["y"]) == () == worse_channels(None)
 
 
 def test_a_channel_that_never_moves_is_named_and_one_with_gaps_is_not() -> None:

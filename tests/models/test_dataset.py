@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from models.recordings.dataset import DatasetError, Recording
-from models.recordings.findings import recording_findings, require_usable
+from models.recordings.findings import recording_findings, require_usable, usable_recordings
 
 
 def recording(rows: int = 60, sensors: int = 3, period_s: float = 60.0) -> Recording:
@@ -73,7 +73,10 @@ def test_a_constant_sensor_is_a_warning() -> None:
 def test_a_gap_is_a_warning_that_names_the_row_after_it() -> None:
     times = recording().time_s.copy()
     times[30:] += 3600.0
-    assert "column time, row 31: a gap of 3660 s" in sentences(replace(recording(), time_s=times))
+    said = sentences(replace(recording(), time_s=times))
+    assert "column time, row 31: a gap of 3660 s" in said and "summer time there, say time_zone" in said
+    later = times + np.where(np.arange(len(times)) < 30, 0.0, 60.0)
+    assert "summer time" not in sentences(replace(recording(), time_s=later))
 
 
 def test_fewer_rows_than_variables_are_refused() -> None:
@@ -89,8 +92,19 @@ def test_kelvin_millimetres_and_raw_counts_are_recognised() -> None:
         require_usable(replace(good, temperatures_degc=good.temperatures_degc * 16.0 + 2000.0))
     with pytest.raises(DatasetError, match="looks like millimetres"):
         require_usable(replace(good, displacements_um=good.displacements_um / 1000.0))
+    one_in_mm = replace(good, displacements_um=good.displacements_um * np.array([1.0, 0.001]))
+    assert "column c2: moves by no more than" in sentences(one_in_mm)
+    assert "displacement_units: {'c2': mm}" in sentences(one_in_mm)
     with pytest.raises(DatasetError, match=r"column c1: moves by .* too far for micrometres"):
         require_usable(replace(good, displacements_um=good.displacements_um * 1000.0))
+
+
+def test_rises_since_the_start_are_told_and_named_where_only_some_recordings_hold_them() -> None:
+    rises = replace(recording(), temperatures_degc=recording().temperatures_degc - recording().temperatures_degc[0])
+    (of_all,) = usable_recordings([rises, replace(rises, name="b.csv")])[1]
+    assert of_all.startswith("day.csv, b.csv: all temperatures begin at 0") and "changes since a reference" in of_all
+    (of_one,) = usable_recordings([rises, replace(recording(), name="b.csv")])[1]
+    assert of_one.startswith("day.csv: all") and "in these recordings alone; add what each sensor read" in of_one
 
 
 @pytest.mark.parametrize("value", [850.0, -200.0, 1e9])

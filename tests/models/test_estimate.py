@@ -158,7 +158,7 @@ def test_residuals_of_nothing_are_refused() -> None:
 
 @pytest.mark.parametrize(
     ("speed_rpm", "confidence", "in_domain"),
-    [(np.nan, 1.0, True), (5250.0, 1.0, True), (7875.0, 0.5, True), (10500.0, 0.0, False), (1e9, 0.0, False)],
+    [(np.nan, 1.0, True), (7500.0, 1.0, True), (11250.0, 0.5, True), (15000.0, 0.0, False), (1e9, 0.0, False)],
 )
 def test_faster_than_in_training_confidence_fades_until_the_output_holds(
     speed_rpm: float, confidence: float, in_domain: bool

@@ -23,7 +23,7 @@ from models.thermal.training.fleet.fleet import (
 )
 from models.thermal.training.fleet.machine_type import MachineType, machine_type_from_json
 from models.thermal.training.fleet.places import Part, matching, places_of_type
-from models.thermal.training.fleet.prior import prior_recipe
+from models.thermal.training.fleet.prior import mean_of_type, prior_recipe
 from models.thermal.training.fleet.products import Products, products_of, space_of
 from models.thermal.training.inputs import with_sensors
 from models.thermal.training.train_family import train_family
@@ -120,6 +120,30 @@ def test_the_model_is_the_combination_and_its_domain_and_band_are_not_narrower_t
     assert model.domain.leverage_limit is not None and model.domain.leverage_limit >= of_type.leverage_limit
     to_own = matching(PARTS, of_type.parts, "sister")
     assert (model.domain.highest >= to_own @ of_type.highest_degc - 1e-9).all()
+
+
+def test_with_nothing_recorded_the_mean_of_the_fleet_is_a_model(of_type: MachineType, sister: list[Recording]) -> None:
+    model, trust = mean_of_type(of_type, NAMED, "sister", CREATED)
+    table = matching(of_type.parts, PARTS, "sister")
+    (read,) = in_places(sister[4:5], table, CHANNELS, 60.0)
+    inputs, reduced, rows = reduced_rows([read], of_type.space)
+    tested = products_of(inputs, reduced, rows)
+    expected = tested.rmse_um(of_type.models.mean(axis=0)) / tested.rmse_um()
+    left, without = left_um(model, sister[4])
+    assert left / without == pytest.approx(expected.mean(), abs=0.1) and left < 0.7 * without
+    assert model.refused is None and trust.held_out_relative_rmse < 0.7
+    assert np.array_equal(model.band_um, of_type.band_um[0]) and model.training == ()
+    again = model_from_json(model.to_json().encode(), "mean.json")
+    assert isinstance(again, LinearModel) and left_um(again, sister[4])[0] == pytest.approx(left, rel=1e-5)
+
+
+def test_the_gate_refuses_the_mean_of_a_fleet_that_does_harm_or_was_never_tried(of_type: MachineType) -> None:
+    assert of_type.mean_leaves is not None and of_type.mean_leaves.shape == (3, len(CHANNELS))
+    bad = of_type.mean_leaves.copy()
+    bad[1] = 1.2
+    for leaves, said in ((None, "does not say"), (bad[:2], "does not say"), (bad, "120% of the error remains")):
+        model, trust = mean_of_type(replace(of_type, mean_leaves=leaves), NAMED, "sister", CREATED)
+        assert model.refused is not None and said in model.refused and trust.refused == model.refused
 
 
 def test_a_machine_that_lacks_a_sensor_takes_over_what_the_others_tell(

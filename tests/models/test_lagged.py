@@ -239,6 +239,7 @@ def test_lags_of_speed_alone_begin_like_others(recording: Recording) -> None:
     of_speed = replace(prepared, inputs=inputs)
     made = model_of("lags", [recording], of_speed, fit, trust, None)
     assert isinstance(made, LinearModel) and made.start is not None and not made.layout.lags_min
+    assert made.period_s == 60.0, "its lags are of means over a minute"
     estimator = LinearEstimator(made)
     assert estimator.settled(estimator.begin(0.0, recording.temperatures_degc[0], 0.0)) > 0.99
     assert estimator.settled(estimator.begin(0.0, recording.temperatures_degc[0])) < 0.99, "speed is not known"
@@ -320,10 +321,10 @@ def test_the_travel_of_axes_does_not_widen_what_temperatures_may_be(model: Linea
     )
     of_temperatures, of_all = widened(model.domain, count), widened(domain, count)
     np.testing.assert_allclose(np.array(of_all)[:, :count], of_temperatures)
-    np.testing.assert_allclose(np.array(of_all)[:, count:], [[-500.0] * axes, [1000.0] * axes])
+    np.testing.assert_allclose(np.array(of_all)[:, count:], [[-500.0] * axes, [1000.0] * axes, [np.inf] * axes])
 
 
-def test_a_temperature_that_hardly_moved_in_training_may_leave_its_range_as_far_as_others(model: LinearModel) -> None:
+def test_a_temperature_that_hardly_moved_in_training_may_change_as_far_as_others(model: LinearModel) -> None:
     domain = model.domain
     width_k = domain.highest - domain.lowest
     quiet = replace(domain, highest=domain.highest.copy(), lowest=domain.lowest.copy())
@@ -331,11 +332,32 @@ def test_a_temperature_that_hardly_moved_in_training_may_leave_its_range_as_far_
     estimator = LinearEstimator(replace(model, domain=quiet))
     usual_k = float(np.median(np.append(width_k[1:], 0.1)))
     degc = 0.5 * (domain.highest + domain.lowest)
-    for over_k, inside in ((0.9 * usual_k, True), (1.1 * usual_k, False)):
-        degc[0] = quiet.highest[0] + over_k
-        state = estimator.begin(0.0, degc, 0.0)
-        found = estimator.estimate(state, state)
+    degc[0] = quiet.lowest[0]
+    reference = estimator.begin(0.0, degc, 0.0)
+    for change_k, inside in ((0.1 + 0.9 * usual_k, True), (0.1 + 1.1 * usual_k, False)):
+        changed = degc.copy()
+        changed[0] += change_k
+        now = estimator.advance(reference, 1.0, changed, 0.0, find_faults=False)
+        found = estimator.estimate(now, reference)
         assert found is not None and (not found.outside) is inside
+
+
+@pytest.mark.parametrize(
+    ("hall_k", "fahrenheit", "inside"), [(0.0, False, True), (18.0, False, True), (0.0, True, False)]
+)
+def test_a_hall_in_another_season_is_no_departure_and_another_unit_is(
+    model: LinearModel, hall_k: float, fahrenheit: bool, inside: bool
+) -> None:
+    """What the estimate holds is the change: judged by level, a warm hall put the output on hold for a whole day."""
+    estimator, domain = LinearEstimator(model), model.domain
+    assert np.min(domain.highest - domain.lowest) < 18.0, "by their width alone not all ranges reach so far"
+    then = domain.highest + hall_k
+    rows = [then, then + 1.0]
+    if fahrenheit:
+        rows = [1.8 * row + 32.0 for row in rows]
+    reference = estimator.begin(0.0, rows[0], 0.0)
+    found = estimator.estimate(estimator.advance(reference, 1.0, rows[1], 0.0, find_faults=False), reference)
+    assert found is not None and (not found.outside) is inside
 
 
 def test_while_the_past_is_not_known_the_band_is_wider_and_confidence_low(

@@ -237,6 +237,9 @@ STANDS = {"run": CncRun.STOP}
         (60.0, {"macros": {560: 4.0}}, {"macros": {560: 5.0}}, {}, ENDED),
         (60.0, STANDS | {"macros": {560: 4.0}}, STANDS | {"macros": {560: 5.0}}, {}, ENDED),
         (60.0, {"macros": {560: 4.0}}, {"macros": {560: None}}, {}, ENDED),
+        (0.5, {}, {"clock_s": 513.0}, {}, ENDED),  # this computer was paused: its own clock shows no gap
+        (0.5, {}, {"clock_s": 513.0}, {"handshake": True}, VALID),
+        (0.5, {}, {"clock_s": 511.9}, {}, VALID),
     ],
 )
 def test_a_gap_that_may_hide_a_positioning_ends_the_reference_unless_the_control_proves_the_contrary(
@@ -245,6 +248,11 @@ def test_a_gap_that_may_hide_a_positioning_ends_the_reference_unless_the_control
     found, texts = gap(seconds, before, after, **how)
     assert found is state
     assert (state is VALID) != any("a positioning may have been missed" in text for text in texts)
+
+
+def test_no_reference_outlasts_a_long_pause_of_this_computer_whatever_the_control_proves():
+    state, texts = gap(0.5, after={"clock_s": 571.0 + 3.0}, handshake=True)
+    assert state is ENDED and "clock went on by 63 s more than this computer's" in texts[0]
 
 
 def test_what_was_asked_for_before_a_gap_does_not_come_into_force_after_it():
@@ -315,15 +323,15 @@ def test_the_baseline_belongs_to_the_reference_that_the_output_counts_from():
     assert reference.count_from(in_force("r2"), output, AXES).record.baseline is None, "the output has not taken it yet"
 
 
-def left_by(memory, now_s, counter=4):
+def left_by(memory, now_s, counter=4, rules=RULES):
     """Through the store and another boot's monotonic clock."""
-    text = json.dumps(to_json(document_of(memory, RULES, counter)), allow_nan=False)
+    text = json.dumps(to_json(document_of(memory, rules, counter)), allow_nan=False)
     return from_json(ReferenceDocument, json.loads(text), at(now_s))
 
 
-def begun(left, first, *, counter=4, model_id=MODEL, axes=AXES):
+def begun(left, first, *, counter=4, model_id=MODEL, axes=AXES, rules=RULES):
     memory, _ = polled(ReferenceMemory(), first)
-    memory, effects = restart(memory, left, RULES, axes=axes, model_id=model_id, request_counter=counter)
+    memory, effects = restart(memory, left, rules, axes=axes, model_id=model_id, request_counter=counter)
     output = initial_memory(now_s=0.0, applied_um=np.array([4.0, 5.0]), wanted=(True, True))
     return memory, effects, resumed(output, memory)
 
@@ -357,6 +365,19 @@ def test_what_does_not_hold_any_more_is_not_taken_up_and_says_why(first, how, wo
     assert memory.in_force is None and words in said(effects)[0] and words in memory.ended
     assert (memory.state, bool(output.tools)) == ((ENDED, True) if tools_stay else (NONE, False))
     assert output.reference_id is None and output.baseline_um.tolist() == [4.0, 5.0]
+
+
+def test_what_is_kept_counts_with_the_sensors_and_the_factors_that_it_was_kept_with():
+    memory, _ = counted(in_force(handshake=True), tools=(2,))
+    kept, now = (replace(RULES, counts_with={"the list of sensors": ids, "the factor": "1"}) for ids in ("1 2", "2 1"))
+    again, _, _ = begun(left_by(memory, 40.0, rules=kept), sample(40.0), rules=kept)
+    assert again.state is VALID
+    again, effects, output = begun(left_by(memory, 40.0, rules=kept), sample(40.0), rules=now)
+    assert again.in_force is None and not output.tools
+    assert [text.partition(": ")[2] for text in said(effects)] == [
+        "the list of sensors changed while the daemon was away",
+        "the list of sensors changed while the daemon was away; set these tools again",
+    ]
 
 
 def test_a_restart_before_the_answer_to_a_positioning_does_not_take_the_reference_before_up():

@@ -12,12 +12,11 @@ from models.thermal.features import lag_table
 from models.thermal.solution import band_factor, leverage
 from models.thermal.training.domain import farthest_leverage, leverage_positions
 from models.thermal.training.families import default_family
-from models.thermal.training.folds import cycles, inner_folds, spindle_starts
+from models.thermal.training.folds import cycles, few_folds_factor, inner_folds, spindle_starts
 from models.thermal.training.inputs import build_inputs
 from models.thermal.training.probing import probed_residual_um, wander_um2_per_min
 from models.thermal.training.trust import (
     excursions,
-    few_folds_factor,
     fit_bias_filter,
     independent_folds,
     judge,
@@ -145,6 +144,7 @@ def test_one_warm_up_alone_is_refused() -> None:
     fold, _ = inner_folds(inputs, rows)
     refused = judge(inputs, rows, fold, default_family(inputs, rows, fold, None)).refused
     assert refused is not None and "1 excursion(s)" in refused
+    assert "record 3 runs of about 4 h, each warming for half of the time and then cooling" in refused
 
 
 def test_excursions_count_alternating_moves_and_no_noise() -> None:

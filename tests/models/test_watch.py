@@ -13,7 +13,7 @@ from models.thermal.sensor_watch import SensorWatch, departure_maps, without_col
 from models.thermal.solution import KNOWN_SHARE, far_confidence
 from models.thermal.training.folds import inner_folds
 from models.thermal.training.inputs import build_inputs
-from models.thermal.training.watch_fit import fit_watch, smoothed
+from models.thermal.training.watch_fit import _few_runs_factor, fit_watch, smoothed
 from models.thermal.watch import Watcher, WatchState
 
 SENSORS = 6
@@ -58,6 +58,15 @@ def follow(watch: SensorWatch, whole: Recording, degc: FloatArray, first: int = 
         speed_rpm = float(whole.speed_rpm[row])
         state = watcher.step(state, float(row), degc[row], speed_rpm, find_faults=row >= first)
     return state
+
+
+def test_limits_of_few_runs_are_wider_because_the_next_run_may_differ_more() -> None:
+    """The largest of three left-out runs is exceeded by every fourth run of a healthy machine."""
+    found = []
+    for runs in (1, 2, 3, 5, 8, 12):
+        inputs = build_inputs([recording(1 + run % 2) for run in range(runs)], sample_s=60.0)
+        found.append(_few_runs_factor(inputs, np.ones(inputs.rows, dtype=np.bool_)))
+    np.testing.assert_allclose(found, [1.0, 1.471, 1.471, 1.196, 1.104, 1.0], atol=1e-3)
 
 
 def test_a_healthy_machine_blames_nobody(watch: SensorWatch, whole: Recording) -> None:

@@ -1,7 +1,6 @@
 """`toolpoint thermal evaluate`: how good a family of models is on what it has not seen."""
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -25,8 +24,6 @@ if TYPE_CHECKING:
 
 MODELS = ("default", "lags", "gaussian", "increments", "increments-b0", "ridge", "pls", "lasso")
 FaultKind = Literal["stuck", "step", "open", "drift"]
-SIGNS = {"slew": "it jumped", "flat": "it stood still", "departure": "the others say otherwise"}
-"""What is said of a sensor that the watch excluded, by its sign."""
 AMOUNT = {"step": "degC", "drift": "degC/h"}
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 FORMS = "stuck:S@36h, step:S:5degC@36h, open:S@36h or drift:S:1degC/h@36h"
@@ -142,17 +139,17 @@ def _protocol(
 
 def _show(found: dict[str, Any]) -> None:
     """Write the figures for people, on standard error."""
-    from models.recordings.findings import said_together
+    from daemon.workbench.thermal.result_pages import called
+    from daemon.workbench.thermal.shortfalls import (
+        columns_sentences,
+        false_alarm_sentences,
+        fault_sentences,
+        temperature_sentences,
+    )
 
     for warning in found["warnings"][:10]:
         say(f"warning: {warning}")
-    say_columns_left_out(found["columns_left_out"])
-    dropped = [
-        (test["name"], f"temperature {name} is left out of the model: {why}")
-        for test in found["tests"]
-        for name, why in test["temperatures_left_out"].items()
-    ]
-    for sentence in said_together(dropped):
+    for sentence in (*columns_sentences(found["columns_left_out"]), *temperature_sentences(found["tests"])):
         say(sentence)
     several = len(found["tests"]) > 1
     settings = f"{len(found['tests'])} trainings; --json has the settings of each" if several else ""
@@ -166,7 +163,7 @@ def _show(found: dict[str, Any]) -> None:
     for name, figures in (*found["channels"].items(), ("mean", found["mean"])):
         online = (figures["online"] or {}).get("reduction_rmse")
         say(
-            f"{name:10} {_text(figures['rmse_um'], '7.2f')} {_text(figures['max_um'], '7.2f')}      "
+            f"{called(name, figures):10} {_text(figures['rmse_um'], '7.2f')} {_text(figures['max_um'], '7.2f')}      "
             f"{_text(figures['reduction_rmse'], '10.1%')} {_text(figures['reduction_max'], '7.1%')} "
             f"{_text(online, '8.1%')} "
             f"{_text(figures['band_width_um'], '7.2f')}      {_text(figures['band_coverage'], '.0%')}"
@@ -178,32 +175,14 @@ def _show(found: dict[str, Any]) -> None:
         )
     for sentence in found["advice"]:
         say(f"next: {sentence}")
-    for fault in found["faults"]:
-        after = fault["found_after_min"]
-        say(
-            f"{fault['kind']} {fault['sensor']}: {'not found' if after is None else f'found after {after:.0f} min'}, "
-            f"largest residual {_text(fault['max_ratio'], '.2f')} times fault-free"
-        )
-    alarms = [
-        f"{one['sensor']} in {test['name']} after {one['after_hours']:.1f} h ({SIGNS[one['sign']]})"
-        for test in found["tests"]
-        for one in test["excluded"]
-    ]
-    say(f"false alarms: {', '.join(alarms) or 'none'}")
-    if alarms:
-        say("a sensor that was excluded here is either wrong in that recording, or does there what training never saw")
+    for sentence in (*fault_sentences(found["faults"]), *false_alarm_sentences(found["tests"])):
+        say(sentence)
     if found["refused"] is not None:
         say(f"refused: {found['refused']}")
 
 
 def _text(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
-
-
-def say_columns_left_out(columns: Sequence[str]) -> None:
-    """Name the columns that --common-columns left out."""
-    if columns:
-        say(f"left out, because not all recordings have them: {', '.join(columns)}")
 
 
 def settings_text(hyper_parameters: dict[str, Any]) -> str:

@@ -21,7 +21,7 @@ from daemon.cli.common import (
     write_json,
 )
 from daemon.cli.thermal.campaign import campaign
-from daemon.cli.thermal.evaluate import MODELS, evaluate, say_columns_left_out, settings_text
+from daemon.cli.thermal.evaluate import MODELS, evaluate, settings_text
 from daemon.cli.thermal.figures import figures
 from daemon.cli.thermal.report import report
 from daemon.cli.thermal.sensors import sensors
@@ -58,7 +58,7 @@ thermal.add_command(sensors)
 
 
 @thermal.command()
-@click.argument("recordings", nargs=-1, required=True, type=FILE)
+@click.argument("recordings", nargs=-1, type=FILE)
 @option("--map", "map_path", type=FILE, help="What the columns mean (YAML).")
 @option(
     "--model",
@@ -111,7 +111,7 @@ def train(
     """Train a thermal model on RECORDINGS, each a run of its own.
 
     What must be chosen is chosen by leaving out whole recordings, or whole stretches of a single one. Without --map,
-    columns must carry the usual names; where they do not, a map is proposed.
+    columns must carry the usual names; where they do not, a map is proposed. With --prior there may be no recording.
     """
     from config.recordings.recording_map import load_recording_map
     from daemon.workbench.thermal.prior import read_machine_type, train_with_prior
@@ -134,13 +134,19 @@ def train(
         raise click.UsageError("--model chooses by itself; leave out --interval-min, --ridge, --b0, --split-at-speed")
     if prior_path is not None and (family is not None or of_increments):
         raise click.UsageError("--prior says what is fitted; leave out --model and the options of the increments")
+    if prior_path is None and not recordings:
+        raise click.UsageError("Missing argument 'RECORDINGS...': only --prior can do without")
+    if not recordings and (map_path or hours or channels or common_columns or without or recent or map_out):
+        raise click.UsageError("without recordings the type says everything; leave out what chooses among recordings")
     if family is None and not of_increments:
         family = MODELS[0]
     choices = IncrementChoices(
         interval_min=interval_min or 1.0, intercept=intercept, ridge_k2=ridge, split_at_speed_changes=split_at_speed
     )
     try:
-        recording_map = load_recording_map(map_path) if map_path is not None else _proposed(recordings[0], map_out)
+        recording_map = None
+        if recordings:
+            recording_map = load_recording_map(map_path) if map_path is not None else _proposed(recordings[0], map_out)
         selection = Selection(
             hours=hours, channels=_names(channels), common_columns=common_columns, without=without, recent=recent
         )
@@ -155,7 +161,7 @@ def train(
     except OSError as error:
         refuse(f"{output}: the model cannot be written ({error.strerror})")
     found = increments_summary(result, output) if family is None else summary(result, output)
-    kept = kept_paths(recordings, selection)
+    kept = kept_paths(recordings, selection) if recordings else recordings
     found["recordings_left_out"] = [path.name for path in recordings if path not in kept]
     found["columns_left_out"] = columns_left_out(kept, recording_map) if common_columns else []
     _show(found)
@@ -165,15 +171,15 @@ def train(
 
 
 def _proposed(recording: Path, map_out: Path | None) -> "RecordingMap | None":
-    """Return the map that the columns of a recording suggest; None where they carry the usual names.
+    """Return the map that the columns of a recording suggest; None where names are usual and no map is wished.
 
     Ends with the map to paste, unless it was wished as a file, and nothing is lacking.
     """
     from config.files import write_whole
     from daemon.workbench.thermal.reading import proposal
 
-    found = proposal(recording)
-    if found is None:
+    found, usual = proposal(recording)
+    if usual and map_out is None:
         return None
     if map_out is None or found.lacking:
         click.echo(found.yaml(), nl=False)
@@ -187,7 +193,8 @@ def _proposed(recording: Path, map_out: Path | None) -> "RecordingMap | None":
     for note in found.notes:
         say(f"warning: {note}")
     if found.left_out:
-        say(f"not used: {', '.join(found.left_out)}")
+        names = ", ".join(map(repr, found.left_out))
+        say(f"not used, because the names do not say what they are: {names}; add what is a temperature to {map_out}")
     return found.recording_map
 
 
@@ -197,15 +204,29 @@ def _names(channels: str | None) -> tuple[str, ...] | None:
     return tuple(name.strip() for name in channels.split(",") if name.strip())
 
 
+def _without_channels(found: dict[str, Any]) -> str:
+    """Return what is known of a model where nothing of the machine could be left out."""
+    held_out, refused = found["held_out"], found["refused"]
+    if held_out["folds"] != "machine":
+        return "nothing could be left out, so it is not known how good this model is: record longer"
+    remains = held_out["relative_rmse"]
+    told = "is not known" if remains is None else f"is {remains:.0%} on machines that were left out"
+    what = f"of this machine nothing is known; what the mean of the others leaves of the error {told}"
+    return what if refused is None else f"{what}; refused: {refused}; do not use it"
+
+
 def _show(found: dict[str, Any]) -> None:
     """Write the outcome for people, on standard error."""
+    from daemon.workbench.thermal.shortfalls import columns_sentences
+
     for warning in found["warnings"][:MOST_WARNINGS]:
         say(f"warning: {warning}")
     if len(found["warnings"]) > MOST_WARNINGS:
         say(f"warning: {len(found['warnings']) - MOST_WARNINGS} more of the kind")
     for name, why in found["temperatures_left_out"].items():
         say(f"temperature {name} is left out of the model: {why}")
-    say_columns_left_out(found["columns_left_out"])
+    for sentence in columns_sentences(found["columns_left_out"]):
+        say(sentence)
     model, held_out = found["model"], found["held_out"]
     used = f", {found['increments']['used']} increments" if "increments" in found else ""
     chosen = settings_text(found["hyper_parameters"])
@@ -217,7 +238,7 @@ def _show(found: dict[str, Any]) -> None:
     for sentence in found["advice"]:
         say(f"next: {sentence}")
     if not held_out["channels"]:
-        say("nothing could be left out, so it is not known how good this model is: record longer")
+        say(_without_channels(found))
         return
     folds = held_out["folds"]
     say(f"left out in turn: {folds if isinstance(folds, str) else ', '.join(folds)}")

@@ -11,6 +11,13 @@ from config.recordings.recording_map import RecordingMap
 from daemon.workbench.thermal.choice_figures import choice_figures, choice_of
 from daemon.workbench.thermal.reading import read_alike
 from daemon.workbench.thermal.result_pages import Stretch
+from daemon.workbench.thermal.shortfalls import (
+    beyond_training,
+    harm_sentences,
+    on_line_sentences,
+    place,
+    position_sentences,
+)
 from models.control.probing import BiasFilter
 from models.json_values import finite_or_none
 from models.recordings.dataset import DatasetError, Recording
@@ -28,7 +35,7 @@ from models.thermal.training.inputs import (
     unusable_sensors,
     with_sensors,
 )
-from models.thermal.training.online import Followed, compensated_um, follow, following_share
+from models.thermal.training.online import Followed, compensated_um, follow, following_share, position_share
 from models.thermal.training.prepared import prepare
 from models.thermal.training.recipes import RECIPES
 from models.thermal.training.train_family import MOST_WATCHED, model_of
@@ -70,11 +77,14 @@ class _Outcome:
     trials: list[Trial]
     trust: Trust
     hyper_parameters: HyperParameters
-    faults: list[FaultOutcome]
+    faults: list[tuple[str, FaultOutcome]]
+    """Each with its recording."""
     dropped: dict[str, str]
     online: list["_Online"]
-    """Of each trial; empty where the daemon cannot run the model."""
+    """Of each trial."""
     choice: Choice
+    beyond: tuple[str, ...]
+    """What the test reaches and training did not."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,7 +129,10 @@ def evaluate(
         progress("evaluating", number, len(parts))
     if stretches is not None:
         stretches += [_stretch(whole, outcome, index) for outcome in outcomes for index in range(len(outcome.trials))]
-    return {"model": model, **_figures(whole, outcomes)}
+    found = {"model": model, **_figures(whole, outcomes)}
+    for name in recordings[0].pivots_mm:
+        found["channels"][name]["unit"] = "um/m"
+    return found
 
 
 def _require_different(recordings: Sequence[Recording]) -> None:
@@ -194,11 +207,9 @@ def _one(recordings: Sequence[Recording], sample_s: float, model: str, protocol:
     fit = problem.fit()
     tester = Tester(inputs, fit, watch, protocol.probe_min, trust.bias_filter, rows)
     trials = [tester.run(part.name, stretch) for stretch in trial_rows(inputs, part.test)]
-    online: list[_Online] = []
-    if not inputs.axis_positions:
-        watched = watch if inputs.layout.sensors <= MOST_WATCHED else None
-        made = model_of(model, chosen, prepared, fit, trust, watched)
-        online = _online(made, inputs, trials, protocol.probe_min, trust.bias_filter)
+    watched = watch if inputs.layout.sensors <= MOST_WATCHED else None
+    made = model_of(model, chosen, prepared, fit, trust, watched)
+    online = _online(made, inputs, trials, protocol.probe_min, trust.bias_filter)
     return _Outcome(
         name=part.name,
         trials=trials,
@@ -207,7 +218,8 @@ def _one(recordings: Sequence[Recording], sample_s: float, model: str, protocol:
         faults=_fault_outcomes(inputs, tester, trials, protocol.faults, dropped),
         dropped=dropped,
         online=online,
-        choice=choice_of(model, problem, trust),
+        choice=choice_of(model, prepared, trust),
+        beyond=beyond_training(inputs, rows, part.test),
     )
 
 
@@ -228,16 +240,24 @@ def _online(
 
 def _fault_outcomes(
     inputs: Inputs, tester: Tester, trials: Sequence[Trial], faults: Sequence[Fault], dropped: dict[str, str]
-) -> list[FaultOutcome]:
-    found = []
+) -> list[tuple[str, FaultOutcome]]:
+    found: list[tuple[str, FaultOutcome]] = []
     for fault in faults:
         names = inputs.sensor_names if fault.sensor == "each" else (fault.sensor,)
         for name in names:
             if name in dropped or name in inputs.axis_positions:
                 continue
             single = Fault(kind=fault.kind, sensor=name, at_hours=fault.at_hours, amount=fault.amount)
-            found += [tester.with_fault(trial, single) for trial in trials if _holds(inputs, trial.rows, single)]
+            found += [
+                (_recording(inputs, trial), tester.with_fault(trial, single))
+                for trial in trials
+                if _holds(inputs, trial.rows, single)
+            ]
     return found
+
+
+def _recording(inputs: Inputs, trial: Trial) -> str:
+    return inputs.recording_names[int(inputs.recording[trial.rows[0]])]
 
 
 def _stretch(inputs: Inputs, outcome: _Outcome, index: int) -> Stretch:
@@ -246,12 +266,12 @@ def _stretch(inputs: Inputs, outcome: _Outcome, index: int) -> Stretch:
     time_h = inputs.time_min[trial.rows] / 60.0
     band_um = trial.band_factor[:, None] * outcome.trust.band_um
     return Stretch(
-        name=outcome.name if len(outcome.trials) == 1 else f"{outcome.name} {index + 1}",
+        name=place(outcome.name, _recording(inputs, trial)),
         time_h=time_h - time_h[0],
         measured_um=trial.measured_um,
         estimated_um=trial.measured_um - trial.residual_um,
         band_um=band_um if np.isfinite(band_um).all() else None,
-        online_left_um=outcome.online[index].left_um if outcome.online else None,
+        online_left_um=outcome.online[index].left_um,
     )
 
 
@@ -263,6 +283,9 @@ def _figures(inputs: Inputs, outcomes: Sequence[_Outcome]) -> dict[str, Any]:
     refusals = [o for o in outcomes if o.trust.refused is not None]
     several = len(outcomes) > 1
     tests = [_test_figures(inputs, outcome) for outcome in outcomes]
+    by_test = {o.name: _channel_figures(inputs.channels, [o]) for o in outcomes}
+    said = [*(sentence for o in outcomes for sentence in o.choice.advice), *harm_sentences(channels, by_test)]
+    said += [*on_line_sentences(tests, {o.name: o.beyond for o in outcomes}), *position_sentences(tests)]
     excluded = [one["sensor"] for test in tests for one in test["excluded"]]
     return {
         "channels": channels,
@@ -271,11 +294,11 @@ def _figures(inputs: Inputs, outcomes: Sequence[_Outcome]) -> dict[str, Any]:
         "refused": "; ".join(f"{o.name}: {o.trust.refused}" if several else str(o.trust.refused) for o in refusals)
         or None,
         "faults": [
-            {**asdict(fault), "blamed_instead": fault.excluded_instead}  # its name in 0.1.0
+            {**asdict(fault), "recording": recording, "blamed_instead": fault.excluded_instead}  # its name in 0.1.0
             for o in outcomes
-            for fault in o.faults
+            for recording, fault in o.faults
         ],
-        "advice": list(dict.fromkeys(sentence for o in outcomes for sentence in o.choice.advice)),
+        "advice": list(dict.fromkeys(said)),
         "false_alarms": len(excluded),
         "false_alarm_sensors": excluded,
         "tests": tests,
@@ -290,12 +313,14 @@ def _test_figures(inputs: Inputs, outcome: _Outcome) -> dict[str, Any]:
         "rows": sum(len(trial.rows) for trial in outcome.trials),
         "reduction_rmse": mean["reduction_rmse"],
         "reduction_max": mean["reduction_max"],
+        "online": mean["online"] | _following([one.followed for one in outcome.online]),
         "held_out_relative_rmse": finite_or_none(outcome.trust.held_out_relative_rmse),
         "forward_skill": [finite_or_none(value) for value in outcome.trust.forward_skill],
         "temperatures_left_out": outcome.dropped,
         "excluded": [
             {
                 "sensor": names[fault.sensor],
+                "recording": _recording(inputs, trial),
                 "after_hours": (fault.time_min - float(inputs.time_min[trial.rows[0]])) / 60.0,
                 "sign": fault.sign,
             }
@@ -304,6 +329,11 @@ def _test_figures(inputs: Inputs, outcome: _Outcome) -> dict[str, Any]:
             if fault.sign != "missing"
         ],
     }
+
+
+def _following(parts: Sequence[Followed]) -> dict[str, float]:
+    share = position_share(parts)
+    return {"following": following_share(parts)} | ({} if share is None else {"position_known": share})
 
 
 def _channel_figures(channels: Sequence[str], outcomes: Sequence[_Outcome]) -> dict[str, dict[str, Any]]:
@@ -349,18 +379,16 @@ def _band_figures(residual_um: FloatArray, half_um: FloatArray) -> tuple[float |
     return float((np.abs(residual_um) <= half_um).mean()), float(2.0 * half_um.mean())
 
 
-def _online_figures(channel: int, outcomes: Sequence[_Outcome], rmse_without_um: float) -> dict[str, float] | None:
-    """Return what the machine would have got on one channel; None where the daemon cannot run the model."""
+def _online_figures(channel: int, outcomes: Sequence[_Outcome], rmse_without_um: float) -> dict[str, float]:
+    """Return what the machine would have got on one channel."""
     parts = [part for outcome in outcomes for part in outcome.online]
-    if not parts:
-        return None
     left_um = np.concatenate([part.left_um[:, channel] for part in parts])
     rmse = float(np.sqrt(np.square(left_um[np.isfinite(left_um)]).mean()))
     followed = [part.followed for part in parts]
     found = {
         "rmse_um": rmse,
         "mean_confidence": float(np.concatenate([one.confidence for one in followed]).mean()),
-        "following": following_share(followed),
+        **_following(followed),
     }
     return found | ({"reduction_rmse": 1.0 - rmse / rmse_without_um} if rmse_without_um > 0.0 else {})
 

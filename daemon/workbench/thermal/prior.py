@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
+from config.recordings.machine_map import sensors_of
 from config.recordings.recording_map import RecordingMap
 from daemon.telemetry.metrics import keep_one_heap
 from daemon.workbench.thermal.fleet import parts_of
@@ -12,7 +13,7 @@ from models.model_file import ModelError
 from models.recordings.dataset import DatasetError
 from models.thermal.training.fleet.machine_type import MachineType, machine_type_from_json
 from models.thermal.training.fleet.places import matching
-from models.thermal.training.fleet.prior import prior_recipe
+from models.thermal.training.fleet.prior import mean_of_type, prior_recipe
 from models.thermal.training.inputs import temperatures_alone, with_sensors
 from models.thermal.training.train_family import FamilyTraining, train_family
 
@@ -37,8 +38,10 @@ def train_with_prior(
     """Read the recordings and train; raises RecordingFileError, ConfigurationError or DatasetError.
 
     `configuration`: of the machine, which says where its sensors sit. Of its channels those are trained that the type
-    has.
+    has. Without recordings it is `mean_on_machine`.
     """
+    if not paths:
+        return mean_on_machine(of_type, configuration)
     keep_one_heap()
     recordings = temperatures_alone(selected_recordings(paths, recording_map, selection, progress))
     names = recordings[0].temperature_names
@@ -60,4 +63,30 @@ def train_with_prior(
         sample_s=60.0 if recording_map is None else recording_map.sample_s,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         progress=lambda done, total: progress("training", done, total),
+    )
+
+
+def mean_on_machine(of_type: MachineType, configuration: Path) -> FamilyTraining:
+    """Return the mean of the fleet as a model of a machine without recordings.
+
+    `configuration`: of the machine, whose every sensor that the type reads becomes an input. Raises ConfigurationError
+    or DatasetError.
+    """
+    names = tuple(f"T{sensor_id}" for sensor_id in sorted(sensors_of(configuration)))
+    parts = dict(zip(names, parts_of(names, configuration, configuration), strict=True))
+    read = matching(of_type.parts, list(parts.values()), str(configuration)).sum(axis=0)
+    kept = {name: part for at, (name, part) in enumerate(parts.items()) if read[at] > 0.0}
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    model, trust = mean_of_type(of_type, kept, str(configuration), created)
+    return FamilyTraining(
+        model=model,
+        trust=trust,
+        hyper_parameters=model.hyper_parameters,
+        left_out={},
+        folds="machine",
+        fold_names=(),
+        counts={},
+        drift_um_per_min=model.drift_um_per_min,
+        warnings=(),
+        advice=("record a warm-up and a cooling of this machine, and train again with them",),
     )

@@ -127,8 +127,8 @@ def _quoted(name: str) -> str:
     return f"'{name}'" if name.isalnum() else '"' + name.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
-def proposal(path: Path) -> MapProposal | None:
-    """Return what the columns of a recording seem to be; None where they carry the usual names.
+def proposal(path: Path) -> tuple[MapProposal, bool]:
+    """Return what the columns of a recording seem to be, and whether they carry the usual names.
 
     Raises RecordingFileError when it cannot be read.
     """
@@ -140,7 +140,9 @@ def proposal(path: Path) -> MapProposal | None:
             if encoding == ENCODINGS[-1]:
                 raise
     try:
-        usual_map(header)
-        return None
+        usual = usual_map(header)
     except ColumnError:
-        return propose_map(header, rows, encoding)
+        return propose_map(header, rows, encoding), False
+    columns = {kind: names for kind, names in matching_names(usual, header).items() if kind in KINDS and names}
+    keys = usual.model_dump(exclude_unset=True, exclude_none=True) | columns
+    return MapProposal(keys=keys, left_out=(), lacking=(), notes=()), True

@@ -2,12 +2,19 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from config.html_page import Section
 from daemon.workbench.figures import Axes, Curve, Figure, report_page
+from daemon.workbench.thermal.shortfalls import (
+    columns_sentences,
+    false_alarm_sentences,
+    fault_sentences,
+    temperature_sentences,
+)
 from models.records import FloatArray
 
 MOST_POINTS = 6000
@@ -36,9 +43,18 @@ class Stretch:
 
 def evaluation_page(title: str, found: Mapping[str, Any], stretches: Sequence[Stretch]) -> str:
     """Return the page of `daemon.workbench.thermal.evaluation.evaluate`'s figures."""
-    channels = tuple(found["channels"])
-    before = [_chosen(found), _candidates(found["channels"]), _reached(found), _warnings(found)]
-    return report_page(title, [section for section in before if section is not None], figures(channels, stretches))
+    left_out = (*columns_sentences(found["columns_left_out"]), *temperature_sentences(found["tests"]))
+    of_sensors = (*fault_sentences(found["faults"]), *false_alarm_sentences(found["tests"]))
+    before = [
+        *_list("Warnings", (*found["warnings"], *left_out)),
+        _chosen(found),
+        _reached(found),
+        *_list("What the test says, and what to do next", found["advice"]),
+        *_list("Sensors in the tests", of_sensors),
+        *_candidates(found["channels"]),
+    ]
+    units = {name: its.get("unit", "um") for name, its in found["channels"].items()}
+    return report_page(title, before, figures(tuple(units), stretches, units=units))
 
 
 def replay_page(
@@ -51,6 +67,8 @@ def replay_page(
     )
     head = ("channel", "RMSE without [um]", "with", "largest without [um]", "with")
     before = [
+        *_list("Warnings", found["warnings"]),
+        *_list("What to do next", found["advice"]),
         Section(title="Model", rows=tuple((key, str(value)) for key, value in model.items()), kind="facts"),
         Section(title="Error since the first block", head=head, rows=rows, kind="numbers"),
         Section(
@@ -58,15 +76,29 @@ def replay_page(
             f"{found['writes']['verified']} of {found['writes']['sent']} writes were verified."
         ),
     ]
-    return report_page(title, before, figures(tuple(channels), [played], estimated="applied, turned round"))
+    drawn = figures(tuple(channels), [played], estimated="applied, turned round")
+    return report_page(title, before, drawn)
 
 
-def figures(channels: Sequence[str], stretches: Sequence[Stretch], estimated: str = "estimated") -> list[Figure]:
+def figures(
+    channels: Sequence[str],
+    stretches: Sequence[Stretch],
+    estimated: str = "estimated",
+    units: Mapping[str, str] = MappingProxyType({}),
+) -> list[Figure]:
     """Return a figure per channel: measured and estimated on one scale, and below it what is left on the same hours."""
     starts = np.concatenate([[0.0], np.cumsum([stretch.time_h[-1] + BETWEEN_H for stretch in stretches])])
     marks = [(float(start), stretch.name) for start, stretch in zip(starts, stretches, strict=False)]
     return [
-        _figure(name, index, stretches, starts.tolist(), marks if len(stretches) > 1 else [], estimated)
+        _figure(
+            name,
+            index,
+            stretches,
+            starts.tolist(),
+            marks if len(stretches) > 1 else [],
+            estimated,
+            units.get(name, "um"),
+        )
         for index, name in enumerate(channels)
     ]
 
@@ -78,6 +110,7 @@ def _figure(
     starts: Sequence[float],
     marks: Sequence[tuple[float, str]],
     estimated: str,
+    unit: str,
 ) -> Figure:
     rows = sum(len(stretch.time_h) for stretch in stretches)
     every = -(-rows // MOST_POINTS)
@@ -104,8 +137,8 @@ def _figure(
     return Figure(
         title=name,
         axes=[
-            Axes(title=f"{name}: measured and {estimated}", y_label="um", curves=above, marks=marks),
-            Axes(title=f"{name}: what is left", x_label="h", y_label="um", curves=below),
+            Axes(title=f"{name}: measured and {estimated}", y_label=unit, curves=above, marks=marks),
+            Axes(title=f"{name}: what is left", x_label="h", y_label=unit, curves=below),
         ],
         heights=(320, 240),
         shared_x=True,
@@ -123,21 +156,23 @@ def _chosen(found: Mapping[str, Any]) -> Section:
     return Section(title="What was chosen, and why", text=f"Family asked for: {found['model']}.", items=tuple(items))
 
 
-def _candidates(channels: Mapping[str, Any]) -> Section | None:
+def _candidates(channels: Mapping[str, Any]) -> list[Section]:
     names = list(dict.fromkeys(name for its in channels.values() for name in its.get("candidates", {})))
     if not names:
-        return None
+        return []
     rows = tuple(
         (name, *(_percent(its.get("candidates", {}).get(name, {}).get("reduction_rmse")) for its in channels.values()))
         for name in names
     )
-    return Section(
-        title="What was tried in training",
-        text="Share of the RMSE that is gone on what training left out.",
-        head=("family", *channels),
-        rows=rows,
-        kind="numbers",
-    )
+    return [
+        Section(
+            title="What was tried in training",
+            text="Share of the RMSE that is gone on what training left out.",
+            head=("family", *channels),
+            rows=rows,
+            kind="numbers",
+        )
+    ]
 
 
 def _reached(found: Mapping[str, Any]) -> Section:
@@ -148,16 +183,17 @@ def _reached(found: Mapping[str, Any]) -> Section:
         online = its.get("online") or {}
         shares = (_percent(its["reduction_rmse"]), _percent(its["reduction_max"]), _percent(its["band_coverage"]))
         on_line = (_percent(online.get("reduction_rmse")), _percent(online.get("mean_confidence")))
-        rows.append((name, its["rmse_um"], its["max_um"], *shares, its["band_width_um"], *on_line))
+        rows.append((called(name, its), its["rmse_um"], its["max_um"], *shares, its["band_width_um"], *on_line))
     return Section(title="What was reached on what it had not seen", head=head, rows=tuple(rows), kind="numbers")
 
 
-def _warnings(found: Mapping[str, Any]) -> Section | None:
-    left_out = {
-        f"{name} is left out: {why}" for test in found["tests"] for name, why in test["temperatures_left_out"].items()
-    }
-    items = (*found.get("warnings", ()), *sorted(left_out))
-    return Section(title="Warnings", items=tuple(items)) if items else None
+def called(channel: str, its: Mapping[str, Any]) -> str:
+    """Return what a channel is called in a table in um: a slope along an axis with its own unit."""
+    return f"{channel} [{its['unit']}]" if "unit" in its else channel
+
+
+def _list(title: str, sentences: Sequence[str]) -> list[Section]:
+    return [Section(title=title, items=tuple(sentences))] if sentences else []
 
 
 def _percent(share: float | None) -> str:

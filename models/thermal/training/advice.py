@@ -1,12 +1,14 @@
 """What to record next: sentences for recordings that support less of a model than there could be."""
 
-from collections.abc import Mapping
+import shlex
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from models.recordings.jumps import scatter_um
 from models.thermal.features import BoolArray
-from models.thermal.training.folds import fold_segments
+from models.thermal.training.evaluation import ResidualMetrics
+from models.thermal.training.folds import FEWEST_CYCLES, cycles, fold_segments
 from models.thermal.training.inputs import Inputs
 
 ENOUGH = 5
@@ -27,6 +29,7 @@ def advice(inputs: Inputs, rows: BoolArray, independent: int) -> tuple[str, ...]
     `inputs` and `rows`: the recordings and the training rows. `independent`: how many whole runs or cycles can be left
     out in turn.
     """
+    independent = _whole(inputs, rows, independent)
     spans_min = [float(np.ptp(inputs.time_min[rows & (inputs.run == run)])) for run in np.unique(inputs.run[rows])]
     longest_min = max(spans_min, default=0.0)
     found = []
@@ -34,8 +37,8 @@ def advice(inputs: Inputs, rows: BoolArray, independent: int) -> tuple[str, ...]
         hours = max(2.0, np.ceil(longest_min / 60.0)) if len(spans_min) > 1 else 4.0
         found.append(
             f"{independent or 'no'} whole run(s) or cycle(s) can be left out, which tells families and sensors apart "
-            f"badly: record {ENOUGH - independent} more runs of about {hours:.0f} h, each from a machine at rest, half "
-            "of the time warming at another speed than before and half standing still"
+            f"badly: record {_more_runs(ENOUGH - independent)} of about {hours:.0f} h, each from a machine at rest, "
+            "half of the time warming at another speed than before and half standing still"
         )
     if longest_min < SHORT_RUN_MIN:
         found.append(
@@ -55,6 +58,38 @@ def advice(inputs: Inputs, rows: BoolArray, independent: int) -> tuple[str, ...]
     return tuple(found)
 
 
+def _whole(inputs: Inputs, rows: BoolArray, independent: int) -> int:
+    """Return how many whole runs or cycles there are: stretches of a run without cycles are none."""
+    runs = len(np.unique(inputs.run[rows]))
+    if runs >= FEWEST_CYCLES or (inputs.speed_rpm is not None and len(cycles(inputs, rows)) >= FEWEST_CYCLES):
+        return independent
+    return min(independent, runs) if runs > 1 else 0
+
+
+def _more_runs(count: int) -> str:
+    return f"{count} more run{'s' * (count > 1)}"
+
+
+def worse_channels(held_out: ResidualMetrics | None, explained: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return what to do about channels of which a model leaves more than there was, on what it had not seen.
+
+    `held_out`: residuals on that. `explained`: channels of which is said already why.
+    """
+    if held_out is None:
+        return ()
+    good = [name for name, share in zip(held_out.channels, held_out.relative_rmse, strict=True) if share < 1.0]
+    offered = f"train without it (--channels {shlex.quote(','.join(good))}), or " if good else ""
+    return tuple(
+        f"channel {name}: on what was left out the model leaves {with_um:.3g} um of {without_um:.3g} um, which is no "
+        f"better than no compensation; let no axis follow it: {offered}record {_more_runs(2)} in which this channel "
+        "moves by several times as much, each warming at another speed and then cooling"
+        for name, with_um, without_um in zip(
+            held_out.channels, held_out.rmse_with_um, held_out.rmse_without_um, strict=True
+        )
+        if with_um >= without_um > 0.0 and name not in explained
+    )
+
+
 def indistinct(chosen: str, relative_rmse: Mapping[str, float], independent: int) -> tuple[str, ...]:
     """Return what to record where families cannot be told apart; nothing where they can, or need not be.
 
@@ -66,7 +101,7 @@ def indistinct(chosen: str, relative_rmse: Mapping[str, float], independent: int
     if not same or independent >= TELLS_APART:
         return ()
     return (
-        f"{' and '.join([chosen, *same])} leave the same of the left-out error within {SAME:.1%}, so these recordings "
-        f"cannot tell them apart and {chosen} was taken; to tell them apart record {TELLS_APART - independent} more "
-        "runs, each at speeds and with pauses that no run has had yet",
+        f"these recordings cannot tell {', '.join(map(repr, [chosen, *same]))} apart, which leave the same of the "
+        f"left-out error within {SAME:.1%}; {chosen!r} was taken. To tell them apart record "
+        f"{_more_runs(TELLS_APART - independent)}, each at speeds and with pauses that no run has had yet",
     )

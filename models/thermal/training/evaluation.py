@@ -20,6 +20,12 @@ class ResidualMetrics:
     """Root mean square of measured minus estimated [um]."""
     max_with_um: FloatArray
 
+    @property
+    def relative_rmse(self) -> FloatArray:
+        """RMSE with / without the estimate, shape (n_channels,); 0 for a channel that never moves."""
+        moves = self.rmse_without_um > 0.0
+        return np.divide(self.rmse_with_um, self.rmse_without_um, out=np.zeros(len(self.channels)), where=moves)
+
 
 def residual_metrics(channels: tuple[str, ...], measured_um: FloatArray, estimated_um: FloatArray) -> ResidualMetrics:
     """Return RMSE and largest residual with and without the estimate.

@@ -21,6 +21,8 @@ BLOCKS = 5
 """What has neither cycles nor several runs is cut into so many blocks."""
 SHORTEST_FOLD_ROWS = 5
 """A shorter stretch says nothing about a model."""
+NORMAL_90 = 1.282
+"""90 % point of the normal distribution."""
 
 
 def spindle_starts(speed_rpm: FloatArray) -> IntArray:
@@ -95,3 +97,16 @@ def fold_segments(inputs: Inputs, rows: BoolArray) -> list[IntArray]:
     chosen = np.flatnonzero(rows)
     breaks = np.flatnonzero((np.diff(chosen) > 1) | (np.diff(inputs.run[chosen]) != 0)) + 1
     return [part for part in np.split(chosen, breaks) if len(part)]
+
+
+def few_folds_factor(folds: int) -> float:
+    """Return by how much a limit is widened because it comes from few folds.
+
+    The largest of K folds' quantiles holds on another fold with probability K / (K + 1) only. Below
+    nine folds it is widened by the ratio of the 90 % points of Student's distribution with K - 1
+    degrees of freedom and of the normal distribution.
+
+    `folds`: K, at least 2.
+    """
+    table = {2: 3.078, 3: 1.886, 4: 1.638, 5: 1.533, 6: 1.476, 7: 1.440, 8: 1.415}
+    return table.get(folds, NORMAL_90) / NORMAL_90

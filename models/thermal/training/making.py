@@ -44,6 +44,8 @@ class Fitted:
     """Lowest and highest increment of each sensor since any earlier instant [K], shape (n_sensors,)."""
     pivots_mm: dict[str, float]
     """Channels that are slopes, and where each adds nothing [mm]."""
+    of_rises: bool
+    """It was fitted on rises since the start: what temperatures the machine has is not known."""
     watch: SensorWatch | None
     """Of its sensors, where the recipe works on lags, or found that they are not worth it."""
 
@@ -73,13 +75,13 @@ def make_linear_model(fitted: Fitted) -> LinearModel:
         layout=inputs.layout,
         speed_scale_rpm=inputs.speed_scale_rpm,
         period_min=inputs.period_min,
-        solutions=tuple(_in_single_precision(solution) for solution in fit.solutions),
+        solutions=tuple(in_single_precision(solution) for solution in fit.solutions),
         drift_um_per_min=fit.drift_um_per_min.copy(),
         centre=features.mean(axis=0, where=rows[:, None]),
         domain=Domain(
-            of_increments=False,
-            lowest=inputs.degc[rows].min(axis=0),
-            highest=inputs.degc[rows].max(axis=0),
+            of_increments=fitted.of_rises,
+            lowest=fitted.increments_k[0] if fitted.of_rises else inputs.degc[rows].min(axis=0),
+            highest=fitted.increments_k[1] if fitted.of_rises else inputs.degc[rows].max(axis=0),
             highest_speed_rpm=float(np.abs(speed_rpm[rows]).max()),
             leverage_limit=farthest_leverage(inputs, rows, fit.solutions),
         ),
@@ -220,7 +222,7 @@ refused, axis_positions, pivots_mm
     )
 
 
-def _in_single_precision(solution: Solution) -> Solution:
+def in_single_precision(solution: Solution) -> Solution:
     """Return the ridge with the directions that its file holds; they only serve to leave sensors out."""
     assert solution.directions is not None
     return replace(solution, directions=_single(solution.directions))

@@ -10,7 +10,9 @@ from models.records import FloatArray
 from models.thermal.estimation import UNSURE_UM, Machine, OnlineReference
 from models.thermal.family import ThermalModel
 from models.thermal.features import BoolArray, IntArray
+from models.thermal.positions import beyond_positions, trust_in_positions
 from models.thermal.training.inputs import Inputs
+from models.thermal.training.trial import HISTORY_MIN
 
 NO_WEIGHT, FULL_WEIGHT = 0.7, 0.9
 """Confidence from which an estimate counts, and from which it counts whole: the defaults of the output."""
@@ -18,6 +20,8 @@ HOLD_MIN = 10.0
 """So long the output stays where it is when the estimate must not be followed [min]; then it goes back to zero."""
 SPARE_PERIODS = 2.0
 """The history begins this many samples earlier than the states need."""
+LATE_PERIODS = 1.5
+"""Between two rows that lie farther apart nothing is known of where the axes stood."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -32,10 +36,16 @@ class Followed:
     """Shape (n,); 0 while there is no estimate."""
     in_domain: BoolArray
     """Whether it may be followed at all, shape (n,)."""
+    position_known: BoolArray | None = None
+    """Whether every axis position that the model needs is known, shape (n,); None where it needs none."""
 
 
 def follow(model: ThermalModel, inputs: Inputs, rows: IntArray) -> Followed:
     """Return what a model gives on some rows of one run, sample by sample, with what history the run has.
+
+    Axis positions are taken as they are recorded: means over a row, as the daemon makes them over `mean_s`. Where one
+    is missing nothing is followed, nor in the row after it, whose mean is not whole, nor at all where it is missing at
+    the reference. A machine also drops what lies outside its travel; of that a recording says nothing.
 
     Parameters
     ----------
@@ -53,15 +63,20 @@ def follow(model: ThermalModel, inputs: Inputs, rows: IntArray) -> Followed:
     speed_rpm = np.full(inputs.rows, np.nan) if inputs.speed_rpm is None else inputs.speed_rpm
     speed_rpm = np.where(inputs.speed_missing, np.nan, speed_rpm)
     time_min, first = inputs.time_min, int(rows[0])
+    begins = time_min[first] - (online.history_min or HISTORY_MIN) - SPARE_PERIODS * inputs.period_min
+    past = np.flatnonzero((inputs.run[:first] == inputs.run[first]) & (time_min[:first] >= begins))
     if online.history_min > 0.0:
-        begins = time_min[first] - online.history_min - SPARE_PERIODS * inputs.period_min
-        past = (inputs.run[:first] == inputs.run[first]) & (time_min[:first] >= begins)
-        online.rebuild((float(time_min[row]), degc[row], float(speed_rpm[row])) for row in np.flatnonzero(past))
+        online.rebuild((float(time_min[row]), degc[row], float(speed_rpm[row])) for row in past)
+    else:  # its watch has lags all the same, and has run until here
+        for row in past:
+            online.on_sample(float(time_min[row]), degc[row], float(speed_rpm[row]))
     ids = np.asarray(model.sensor_ids)
     absent = np.zeros(len(ids), dtype=np.bool_)
     shape = (len(rows), len(model.channels))
     estimate_um, band_um = np.full(shape, np.nan), np.tile(model.band_um, (len(rows), 1))
     confidence, in_domain = np.zeros(len(rows)), np.zeros(len(rows), dtype=np.bool_)
+    axes = len(ids) - len(model.axis_positions)
+    trust, position_known = _positions(model, degc[rows, axes:], time_min[rows], inputs.period_min)
     for place, row in enumerate(rows):
         now_min = float(time_min[row])
         online.on_sample(now_min, degc[row], float(speed_rpm[row]))
@@ -70,11 +85,32 @@ def follow(model: ThermalModel, inputs: Inputs, rows: IntArray) -> Followed:
         found, _ = online.estimate(now_min, degc[row], absent)
         if found is None:
             continue
-        absent = np.isin(ids, found.imputed)
+        imputed = np.isin(ids, found.imputed)
+        absent[:axes], position_known[place] = imputed[:axes], position_known[place] and not imputed[axes:].any()
         estimate_um[place] = found.thermal_error_um
-        confidence[place] = found.confidence if found.imputed_um <= UNSURE_UM else 0.0
+        confidence[place] = found.confidence * trust[place] if found.imputed_um <= UNSURE_UM else 0.0
         band_um[place], in_domain[place] = model.band_um * found.band_factor, found.in_domain
-    return Followed(estimate_um=estimate_um, band_um=band_um, confidence=confidence, in_domain=in_domain)
+    return Followed(
+        estimate_um=estimate_um,
+        band_um=band_um,
+        confidence=np.where(position_known, confidence, 0.0),
+        in_domain=in_domain,
+        position_known=position_known if model.axis_positions else None,
+    )
+
+
+def _positions(
+    model: ThermalModel, mm: FloatArray, time_min: FloatArray, period_min: float
+) -> tuple[FloatArray, BoolArray]:
+    """Return how far the model may be followed for where the axes stood in each row, 0..1, and if that is known."""
+    if not model.axis_positions:
+        return np.ones(len(mm)), np.ones(len(mm), dtype=np.bool_)
+    there: BoolArray = np.asarray(np.isfinite(mm).all(axis=1))
+    before = np.append(True, there[:-1] & (np.diff(time_min) <= LATE_PERIODS * period_min))
+    known = there & before & there[0]
+    trust = np.zeros(len(mm))
+    trust[known] = trust_in_positions(beyond_positions(model, mm[known], mm[0]))
+    return trust, known
 
 
 def compensated_um(
@@ -122,6 +158,12 @@ def compensated_um(
             due_min += (probe_min or 0.0) * max(1.0, np.floor((now_min - due_min) / (probe_min or 1.0) + 1.0))
         found[row] = held + state.bias_um
     return found
+
+
+def position_share(parts: Sequence[Followed]) -> float | None:
+    """Return the share of rows in which the axis positions that the model needs are known; None: it needs none."""
+    known = [part.position_known for part in parts if part.position_known is not None]
+    return float(np.concatenate(known).mean()) if known else None
 
 
 def following_share(parts: Sequence[Followed]) -> float:

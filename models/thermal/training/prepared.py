@@ -31,6 +31,8 @@ class Prepared:
     folds: str
     """What the folds are: `run`, `cycle` or `block`."""
     problem: Problem
+    reversed_runs: tuple[str, ...] = ()
+    """Sentences on runs that were left out, because a channel reads the wrong way round in them."""
 
 
 def prepare(
@@ -71,10 +73,11 @@ def prepare(
     rows &= ~np.isin(inputs.run, list(wrong))
     fold, folds = inner_folds(inputs, rows, recipe.fewest_runs)
     problem = recipe.prepare(inputs, rows, fold, probe_min)
+    left_out = reversed_sentences(inputs, wrong)
     if isinstance(problem, ChosenProblem):
-        problem.advise(reversed_sentences(inputs, wrong))
+        problem.advise(left_out)
         inputs = part_of(inputs, problem.layout.lags_min, problem.layout.speed_lags_min)
-    return Prepared(inputs=inputs, rows=rows, fold=fold, folds=folds, problem=problem)
+    return Prepared(inputs=inputs, rows=rows, fold=fold, folds=folds, problem=problem, reversed_runs=left_out)
 
 
 def require_rows(inputs: Inputs, wanted: BoolArray, rows: BoolArray) -> None:

@@ -114,9 +114,10 @@ def reversed_sentences(inputs: Inputs, wrong: Mapping[int, tuple[str, ...]]) -> 
         name = inputs.recording_names[int(inputs.recording[inputs.run == run][0])]
         hours = inputs.time_min[inputs.run == run][[0, -1]] / 60.0
         whole = len(np.unique(inputs.run[inputs.recording_names.index(name) == inputs.recording])) == 1
+        verb = "reads" if len(channels) == 1 else "read"
         place = name if whole else f"{name}, hours {hours[0]:.1f} to {hours[1]:.1f}"
         sentences.append(
-            f"{place}: {', '.join(channels)} reads the wrong way round, by what all other runs say; it was left out of "
-            "training. Look how its sensor was mounted, change the sign of the column, and train again"
+            f"{place}: {' and '.join(channels)} {verb} the wrong way round, by what all other runs say; it was left "
+            "out of training. Look how its sensor was mounted, change the sign of the column, and train again"
         )
     return tuple(sentences)

@@ -8,15 +8,16 @@ import numpy as np
 
 from models.recordings.dataset import DatasetError, Recording
 from models.recordings.findings import usable_recordings
+from models.recordings.plausibility import are_rises
 from models.records import FloatArray
 from models.thermal.family import ThermalModel
 from models.thermal.features import BoolArray, IntArray
-from models.thermal.model import HyperParameters
+from models.thermal.model import CHANNEL_SCORES, HyperParameters, TrainingData
 from models.thermal.sensor_watch import SensorWatch
-from models.thermal.training.advice import advice, indistinct
+from models.thermal.training.advice import advice, indistinct, worse_channels
 from models.thermal.training.choice import Choice, ChosenProblem
 from models.thermal.training.families import Fit, fold_numbers
-from models.thermal.training.inputs import Inputs, build_inputs, unusable_sensors, with_sensors
+from models.thermal.training.inputs import Inputs, build_inputs, temperatures_alone, unusable_sensors, with_sensors
 from models.thermal.training.making import Fitted, increment_range_k, sensor_ids_from_names, training_data
 from models.thermal.training.prepared import Prepared, prepare
 from models.thermal.training.recipes import RECIPES, Recipe
@@ -25,10 +26,7 @@ from models.thermal.training.trust import Trust, independent_folds, judge
 from models.thermal.training.watch_fit import fit_watch
 
 MOST_WATCHED = 400
-"""A model of more sensors than this does not carry the watch: its file grows with their square.
-
-Nor does one with axis positions, which are no temperatures.
-"""
+"""A model of more sensors than this does not carry the watch: its file grows with their square."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,8 +84,9 @@ def train_family(
     plain = build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())
     left_out = unusable_sensors(plain, np.ones(plain.rows, dtype=np.bool_))
     kept = [name for name in plain.sensor_names if name not in left_out]
+    without = not set(kept) - set(plain.axis_positions)
     del plain
-    if not kept:
+    if without:
         raise DatasetError("no temperature can be used; every one is constant or mostly missing")
     used = [with_sensors(recording, kept) for recording in recordings]
     recipe = RECIPES[family] if isinstance(family, str) else family
@@ -98,7 +97,7 @@ def train_family(
     progress(2, 4)
     trust = judge(inputs, rows, fold, problem)
     progress(3, 4)
-    watched = recipe.lags and inputs.layout.sensors <= MOST_WATCHED and not inputs.axis_positions
+    watched = recipe.lags and inputs.layout.sensors <= MOST_WATCHED
     model = recipe.make(
         Fitted(
             name=recipe.name,
@@ -109,15 +108,12 @@ def train_family(
             fit=fit,
             trust=trust,
             hyper_parameters=problem.hyper_parameters | _score(trust),
-            training=tuple(
-                training_data(recording)
-                for index, recording in enumerate(used)
-                if (rows & (inputs.recording == index)).any()
-            ),
+            training=_training(used, inputs, rows),
             sensor_ids=_ids(recordings[0], kept),
             increments_k=increment_range_k([recording.downsampled(sample_s) for recording in used]),
             pivots_mm=dict(used[0].pivots_mm),
-            watch=fit_watch(used, sample_s, rows, fold) if watched else None,
+            of_rises=_of_rises(used),
+            watch=fit_watch(temperatures_alone(used), sample_s, rows, fold) if watched else None,
         )
     )
     progress(4, 4)
@@ -158,22 +154,35 @@ def model_of(
             sensor_ids=sensor_ids_from_names(prepared.inputs.sensor_names, prepared.inputs.axis_positions),
             increments_k=increment_range_k(recordings),
             pivots_mm=dict(recordings[0].pivots_mm),
+            of_rises=_of_rises(recordings),
             watch=watch,
         )
     )
 
 
+def _training(recordings: Sequence[Recording], inputs: Inputs, rows: BoolArray) -> tuple[TrainingData, ...]:
+    used = np.unique(inputs.recording[rows])
+    return tuple(training_data(recording) for index, recording in enumerate(recordings) if index in used)
+
+
+def _of_rises(recordings: Sequence[Recording]) -> bool:
+    return any(are_rises(one.temperatures_degc[:, : one.sensors]) for one in recordings)
+
+
 def _score(trust: Trust) -> HyperParameters:
     """Return what a candidate is compared by: RMSE with / without the model on what was left out, mean of channels."""
     score = trust.held_out_relative_rmse
-    return {"held_out_relative_rmse": round(score, 4)} if isfinite(score) else {}
+    if trust.held_out is None or not isfinite(score):
+        return {}
+    of_channels = [round(float(share), 4) for share in trust.held_out.relative_rmse]
+    return {"held_out_relative_rmse": round(score, 4), CHANNEL_SCORES: of_channels}
 
 
 def _advice(prepared: Prepared, trust: Trust) -> tuple[str, ...]:
     inputs, rows, fold, problem = prepared.inputs, prepared.rows, prepared.fold, prepared.problem
     numbers = fold_numbers(rows, fold)
     independent = independent_folds(inputs, rows, len(numbers)) if len(numbers) > 1 else 0
-    found = advice(inputs, rows, independent)
+    found = prepared.reversed_runs + advice(inputs, rows, independent)
     if isinstance(problem, ChosenProblem):
         scores = {one.family: one.relative_rmse for one in problem.choice.candidates if one.refused is None}
         found += indistinct(problem.choice.family, scores, independent)
@@ -181,7 +190,10 @@ def _advice(prepared: Prepared, trust: Trust) -> tuple[str, ...]:
         return found
     against = contradictions(inputs, rows, fold, problem)
     change = None if against else change_of_regime(inputs, rows, fold, problem)
-    return found + sentences(inputs, against, change)
+    explained = [name for name in inputs.channels if any(one.startswith(f"channel {name} ") for one in found)]
+    explained += [inputs.channels[one.channel] for one in against]
+    worse = worse_channels(trust.held_out, explained) if trust.refused is None else ()
+    return found + sentences(inputs, against, change) + worse
 
 
 def _ids(recording: Recording, kept: Sequence[str]) -> tuple[int, ...]:

@@ -14,7 +14,7 @@ from models.thermal.solution import band_factor
 from models.thermal.training.domain import farthest_leverage, leverage_positions
 from models.thermal.training.evaluation import ResidualMetrics
 from models.thermal.training.families import Fit, Problem, fold_numbers, held_out_metrics, relative_rmse
-from models.thermal.training.folds import FEWEST_CYCLES, cycles, fold_segments
+from models.thermal.training.folds import FEWEST_CYCLES, cycles, few_folds_factor, fold_segments
 from models.thermal.training.inputs import Inputs
 from models.thermal.training.probing import probed_residual_um, wander_um2_per_min
 from models.thermal.training.watch_fit import smoothed
@@ -37,8 +37,6 @@ LEAST_WANDER = 0.1
 """No more than the rest of what an offset was seen to wander is put down to noise."""
 USUAL_PROBE_MIN = 60.0
 """How far an offset wanders between probes is told for this time between them [min], where none is asked for."""
-NORMAL_90 = 1.282
-"""90 % point of the normal distribution."""
 HALF_LIFE = 2.0
 """A forward-chained fold counts half as much as one that comes so many folds later."""
 FEWEST_FOLDS_BEFORE = 2
@@ -137,7 +135,8 @@ def _reason(inputs: Inputs, rows: BoolArray, score: float, skill: list[float]) -
     if seen < FEWEST_EXCURSIONS and runs < FEWEST_RUNS:
         return (
             f"training saw {seen} excursion(s) of more than {EXCURSION_SHARE:.0%} of the span in {runs} run(s); "
-            f"{FEWEST_EXCURSIONS} alternating ones or {FEWEST_RUNS} separate runs are needed: record warming, cooling"
+            f"{FEWEST_EXCURSIONS} alternating ones or {FEWEST_RUNS} separate runs are needed: record {FEWEST_RUNS} "
+            "runs of about 4 h, each warming for half of the time and then cooling"
         )
     if not score < 1.0:
         return f"{score:.0%} of the error remains on what was left out: it is no better than no compensation"
@@ -152,7 +151,7 @@ def _reason(inputs: Inputs, rows: BoolArray, score: float, skill: list[float]) -
         return (
             f"predicted from what came before, {len(bad)} of {len(skill)} folds are worse than without compensation "
             f"(by {-min(bad):.0%} at worst), and {-recently:.0%} worse in the mean of which the latest count most; "
-            "record more alternating operation"
+            "record 2 more runs of about 4 h, each warming at another speed for half of the time and then cooling"
         )
     return None
 
@@ -284,19 +283,6 @@ def independent_folds(inputs: Inputs, rows: BoolArray, folds: int) -> int:
     if inputs.speed_rpm is None or runs >= FEWEST_RUNS:
         return folds
     return 2 if 1 <= len(cycles(inputs, rows)) < FEWEST_CYCLES else folds
-
-
-def few_folds_factor(folds: int) -> float:
-    """Return by how much a band is widened because it comes from few folds.
-
-    The largest of K folds' quantiles holds on another fold with probability K / (K + 1) only. Below
-    nine folds it is widened by the ratio of the 90 % points of Student's distribution with K - 1
-    degrees of freedom and of the normal distribution.
-
-    `folds`: K, at least 2.
-    """
-    table = {2: 3.078, 3: 1.886, 4: 1.638, 5: 1.533, 6: 1.476, 7: 1.440, 8: 1.415}
-    return table.get(folds, NORMAL_90) / NORMAL_90
 
 
 def fit_bias_filter(inputs: Inputs, rows: BoolArray, series_um: FloatArray, probe_min: float) -> BiasFilter:

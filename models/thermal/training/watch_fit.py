@@ -22,6 +22,7 @@ from models.thermal.sensor_watch import (
     departure_maps,
 )
 from models.thermal.training.families import fold_numbers
+from models.thermal.training.folds import few_folds_factor
 from models.thermal.training.gaussian_process import inverse_of
 from models.thermal.training.inputs import Inputs, build_inputs
 
@@ -35,6 +36,8 @@ ROWS_AT_A_TIME, COLUMNS_AT_A_TIME = 512, 256
 """Of a large table, while something is made of it."""
 SMALLEST_THRESHOLD_K = 0.1
 """No departure below this is a fault [K]: less than two steps of a TMP102."""
+FEWEST_RUNS = 3
+"""Two runs count as so many, because it is their cycles that are left out, which say a little more."""
 
 
 def fit_watch(recordings: Sequence[Recording], sample_s: float, rows: BoolArray, fold: IntArray) -> SensorWatch:
@@ -71,7 +74,7 @@ def fit_watch(recordings: Sequence[Recording], sample_s: float, rows: BoolArray,
         centre=centre,
         gain=gain,
         precision=next(_precisions(inputs.features[:, : layout.columns], rows, centre, gain, [penalty])),
-        threshold_k=_thresholds_k(largest_k),
+        threshold_k=_few_runs_factor(inputs, rows) * _thresholds_k(largest_k),
         slew_k_per_min=2.0 * _largest_slew(inputs, rows) + SLEW_MARGIN_K_PER_MIN / max(inputs.period_min, 1.0),
         flat_min=_flat_min(_longest_flat_min(inputs, rows), inputs.period_min),
         speed_scale_rpm=inputs.speed_scale_rpm,
@@ -84,6 +87,15 @@ def _thresholds_k(largest_k: FloatArray) -> FloatArray:
     What a few folds say about a single sensor may be luck: no limit lies below the median of all.
     """
     return np.maximum(THRESHOLD_FACTOR * np.maximum(largest_k, np.median(largest_k)), SMALLEST_THRESHOLD_K)
+
+
+def _few_runs_factor(inputs: Inputs, rows: BoolArray) -> float:
+    """Return by how much limits are widened because another run may differ more than few runs do among themselves.
+
+    The parts of a single run are all there is to go by, and count as they are.
+    """
+    runs = len(np.unique(inputs.run[rows]))
+    return few_folds_factor(max(runs, FEWEST_RUNS)) if runs > 1 else 1.0
 
 
 def _scaling(features: FloatArray, rows: BoolArray) -> tuple[FloatArray, FloatArray]:

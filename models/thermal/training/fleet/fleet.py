@@ -299,8 +299,10 @@ def machine_type(
         residuals = [np.abs(one.residual_um) for one in left_out if one.recordings == count]
         if len(residuals) > 1:
             band_um[row] = np.quantile(np.vstack(residuals), POOLED_QUANTILE, axis=0)
+    with_none = [one.with_prior_um / np.maximum(one.without_um, 1e-9) for one in left_out if one.recordings == 0]
     return MachineType(
         type_id=type_id,
+        mean_leaves=np.array(with_none) if with_none else None,
         created=created,
         parts=tuple(of_type),
         channels=channels,

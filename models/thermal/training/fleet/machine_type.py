@@ -44,6 +44,9 @@ class MachineType:
     """Half width of the band on machines that were left out, by `COUNTS`, shape (4, n_channels); NaN: not known."""
     pivots_mm: dict[str, float] = field(default_factory=dict)
     """Channels that are slopes along an axis, and where each adds nothing [mm]."""
+    mean_leaves: Numbers | None = None
+    """Share of the RMSE that the mean of the other machines left on each machine that was left out, shape
+    (n_left_out, n_channels); None: not known."""
 
     def __post_init__(self) -> None:
         """Check what belongs together; raises ModelError."""
@@ -66,6 +69,11 @@ class MachineType:
                 raise ModelError(key, f"has shape {array.shape}, but {shape} is needed")
             if key != "band_um" and not np.isfinite(array).all():
                 raise ModelError(key, "holds a number that is not finite")
+        leaves = self.mean_leaves
+        if leaves is not None and (
+            leaves.ndim != 2 or leaves.shape[1] != len(self.channels) or not (leaves >= 0).all()
+        ):
+            raise ModelError("mean_leaves", "is not of shares of the RMSE, one column for each channel")
 
     @property
     def models(self) -> FloatArray:

@@ -1,4 +1,7 @@
-"""A model of a machine that takes over what its type knows: an ordinary linear model, made and judged as any other."""
+"""A model of a machine that takes over what its type knows: an ordinary linear model, made and judged as any other.
+
+With recordings of the machine itself, or the mean of the fleet without any.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -10,7 +13,7 @@ from models.recordings.dataset import DatasetError
 from models.records import FloatArray
 from models.thermal.features import BoolArray, IntArray, Layout, design_columns
 from models.thermal.linear import LinearModel
-from models.thermal.model import HyperParameters
+from models.thermal.model import CHANNEL_SCORES, Domain, HyperParameters, TestVector
 from models.thermal.solution import Solution
 from models.thermal.training.families import Fit, fold_numbers, ridge_fit
 from models.thermal.training.fleet.combination import FEW, taken_over, weighed
@@ -18,10 +21,19 @@ from models.thermal.training.fleet.machine_type import COUNTS, MachineType
 from models.thermal.training.fleet.places import Part, matching
 from models.thermal.training.fleet.products import DESIGN, MOST_AT_ONCE, Products, products_of, speed_factors, summed
 from models.thermal.training.inputs import Inputs
-from models.thermal.training.making import Fitted, make_linear_model
+from models.thermal.training.making import (
+    Fitted,
+    digest,
+    in_single_precision,
+    make_linear_model,
+    sensor_ids_from_names,
+)
 from models.thermal.training.recipes import Recipe
+from models.thermal.training.trust import Trust
 
 KIND = "fleet"
+FEWEST_LEFT_OUT = 3
+"""The mean of a type is trusted when it was tried on so many machines that were left out."""
 
 
 def prior_recipe(of_type: MachineType, parts: Mapping[str, Part], machine: str) -> Recipe:
@@ -178,4 +190,108 @@ def _make(of_type: MachineType, parts: Mapping[str, Part], machine: str, fitted:
             leverage_limit=max(domain.leverage_limit or 0.0, of_type.leverage_limit),
         ),
         band_um=band_um,
+    )
+
+
+def mean_of_type(
+    of_type: MachineType, parts: Mapping[str, Part], machine: str, created: str
+) -> tuple[LinearModel, Trust]:
+    """Return the mean of the fleet's models on a machine of which nothing was recorded, and how far it may be trusted.
+
+    What judges it are the machines that were left out when the type was learned: each was one of which nothing was
+    known. It carries no watch of its sensors, and a lag begins as if the machine had been at rest.
+
+    Parameters
+    ----------
+    of_type
+        The type.
+    parts
+        Where each of the machine's temperatures sits, by its usual name, such as `T61`.
+    machine
+        Its name, for messages.
+    created
+        Date and time for the model, ISO 8601.
+
+    Raises
+    ------
+    DatasetError
+        The machine shares too few sensors with the type.
+
+    """
+    space, names, own = of_type.space, tuple(parts), tuple(parts.values())
+    sister, channels = Sister(of_type, own, space.speed_scale_rpm, machine), len(of_type.channels)
+    solution = in_single_precision(sister.solution(of_type.models.mean(axis=0)))
+    lowest, highest = (sister.to_own @ degc for degc in (of_type.lowest_degc, of_type.highest_degc))
+    middle, cold, warm = (
+        _features(sister.layout, degc, speed)
+        for degc, speed in (((lowest + highest) / 2.0, 0.0), (lowest, 0.0), (highest, 1.0))
+    )
+    trust = _trust_of_mean(of_type)
+    scores = {} if of_type.mean_leaves is None else {CHANNEL_SCORES: of_type.mean_leaves.mean(axis=0).round(4).tolist()}
+    weights = solution.coefficients()
+    model = LinearModel(
+        model_id=f"{of_type.type_id}-mean-{digest(weights)[:8]}",
+        kind=KIND,
+        channels=of_type.channels,
+        sensor_ids=sensor_ids_from_names(names),
+        sensor_names=names,
+        layout=sister.layout,
+        speed_scale_rpm=space.speed_scale_rpm,
+        period_min=space.period_min,
+        solutions=(solution,),
+        drift_um_per_min=np.zeros(channels),
+        centre=middle,
+        domain=Domain(
+            of_increments=False,
+            lowest=lowest,
+            highest=highest,
+            highest_speed_rpm=of_type.highest_speed_rpm,
+            leverage_limit=of_type.leverage_limit,
+        ),
+        band_um=trust.band_um.copy(),
+        watch=None,
+        hyper_parameters={
+            "type": of_type.type_id,
+            "taken_over": "the mean of the machines' models",
+            "machines": len(of_type.machines),
+            "lags_min": list(sister.layout.lags_min),
+            "speed_lags_min": list(sister.layout.speed_lags_min),
+            **scores,
+        },
+        refused=trust.refused,
+        training=(),
+        created=created,
+        pivots_mm=dict(of_type.pivots_mm),
+        test_vectors=tuple(
+            TestVector(features=now, reference=then, elapsed_min=0.0, thermal_error_um=(now - then) @ weights)
+            for now, then in ((warm, cold), (middle, cold))
+        ),
+    )
+    return model, trust
+
+
+def _features(layout: Layout, degc: FloatArray, speed: float) -> FloatArray:
+    """Return the features of a machine that has been at temperatures and a speed for long."""
+    temperatures = np.tile(degc, 1 + len(layout.lags_min))
+    return np.concatenate([temperatures, np.full(layout.columns - layout.temperature_columns, speed)])
+
+
+def _trust_of_mean(of_type: MachineType) -> Trust:
+    """Return what machines that were left out say of the mean of the others."""
+    leaves, refused = of_type.mean_leaves, None
+    if leaves is None or len(leaves) < FEWEST_LEFT_OUT:
+        refused = (
+            f"the type {of_type.type_id} does not say what its mean leaves on {FEWEST_LEFT_OUT} machines that were "
+            "left out: learn it from more machines, or record this one"
+        )
+    elif not (worst := float(leaves.mean(axis=1).max())) < 1.0:
+        refused = (
+            f"on a machine that was left out {worst:.0%} of the error remains with the mean of the others, which is no "
+            "better than no compensation: record this one"
+        )
+    return Trust(
+        refused=refused,
+        band_um=np.asarray(of_type.band_um[COUNTS.index(0)], dtype=np.float64).copy(),
+        held_out_relative_rmse=float("nan") if leaves is None else float(leaves.mean()),
+        forward_skill=(),
     )

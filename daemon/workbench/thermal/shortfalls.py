@@ -1,0 +1,175 @@
+"""What a test has to say beside its figures: harm that a model does, what is lost on line, which sensors were excluded.
+
+Each sentence of the first two says what to record next. The same sentences stand in the terminal and on the page.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from models.recordings.findings import said_together
+from models.thermal.features import BoolArray
+from models.thermal.training.inputs import Inputs
+from models.thermal.training.online import FULL_WEIGHT, HOLD_MIN, NO_WEIGHT
+
+LOST = 0.1
+"""On line so much less of the error is removed that it is said why."""
+BEYOND = 0.05
+"""A value lies beyond training when it leaves the range by more than this share of it."""
+POSITION_SHARE = 0.9
+"""An axis position that is known for less of the time is why less would be had."""
+MOST_NAMED = 3
+SIGNS = {"slew": "it jumped", "flat": "it stood still", "departure": "the others say otherwise"}
+"""What is said of a sensor that the watch excluded, by its sign."""
+
+
+def beyond_training(inputs: Inputs, trained: BoolArray, tested: BoolArray) -> tuple[str, ...]:
+    """Return the speed, temperatures and axis positions of a test that training did not reach, the farthest first.
+
+    `inputs`: the recordings. `trained` and `tested`, shape (n,): rows of training and of the test.
+    """
+    columns = [
+        (name, values, "mm" if name in inputs.axis_positions else "degC")
+        for name, values in zip(inputs.sensor_names, inputs.degc.T, strict=True)
+    ]
+    if inputs.speed_rpm is not None:
+        columns.insert(0, ("spindle speed", np.abs(inputs.speed_rpm), "1/min"))
+    found = []
+    for name, values, unit in columns:
+        low, high = float(values[trained].min()), float(values[trained].max())
+        least, most = float(values[tested].min()), float(values[tested].max())
+        above, below = most - high, low - least
+        share = max(above, below) / max(high - low, 1e-9)
+        if share > BEYOND:
+            went, limit = (most, high) if above >= below else (least, low)
+            found.append((share, f"{name} to {_number(went)} {unit} (training: {_number(limit)})"))
+    return tuple(sentence for _, sentence in sorted(found, reverse=True)[:MOST_NAMED])
+
+
+def _number(value: float) -> str:
+    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.1f}"
+
+
+def on_line_sentences(tests: Sequence[Mapping[str, Any]], beyond: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return why less would be had on line of tests than could be removed, the worst first.
+
+    `tests`: their figures. `beyond`: by the name of the test, see `beyond_training`.
+    """
+    lost = []
+    for test in tests:
+        online, could = test["online"], test["reduction_rmse"]
+        if online is None or could is None or online["reduction_rmse"] is None:
+            continue
+        if (less := could - online["reduction_rmse"]) > LOST:
+            lost.append((less, _on_line_sentence(test, beyond.get(test["name"], ()))))
+    lost.sort(key=lambda each: -each[0])
+    rest = [f"so it is in {len(lost) - MOST_NAMED} more tests"] if len(lost) > MOST_NAMED else []
+    return [sentence for _, sentence in lost[:MOST_NAMED]] + rest
+
+
+def position_sentences(tests: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return in which tests an axis position that the model needs is not known, the worst first; `tests`: figures."""
+    known = {test["name"]: (test["online"] or {}).get("position_known", 1.0) for test in tests}
+    worst = sorted((name for name, share in known.items() if share < 1.0), key=lambda name: known[name])
+    sentences = [
+        f"{name}: an axis position is not known for {1.0 - known[name]:.0%} of the time, in which the output would "
+        f"hold, and after {HOLD_MIN:g} min go back to zero; one that is missing where the test begins, or too long for "
+        "lags of it, stays unknown until work is positioned again: see in the recording why its fields are empty"
+        for name in worst[:MOST_NAMED]
+    ]
+    rest = [f"so it is in {len(worst) - MOST_NAMED} more tests"] if len(worst) > MOST_NAMED else []
+    return sentences + rest
+
+
+def _on_line_sentence(test: Mapping[str, Any], beyond: Sequence[str]) -> str:
+    online = test["online"]
+    if (known := online.get("position_known", 1.0)) < POSITION_SHARE:
+        cause = f"an axis position is not known for {1.0 - known:.0%} of the time: record it without gaps"
+    elif beyond:
+        cause = (
+            f"it goes beyond training ({', '.join(beyond)}): record 2 runs or cycles that go as far, and train on them"
+        )
+    elif test["excluded"]:
+        names = ", ".join(dict.fromkeys(one["sensor"] for one in test["excluded"]))
+        cause = f"sensors were excluded ({names}): look at them, or record 2 more runs in which they do the same"
+    else:
+        cause = (
+            "it begins without its past, or goes through a mixture of speeds and temperatures that training has not "
+            "seen: record some hours before it too, and 2 more runs like it"
+        )
+    return (
+        f"{test['name']}: {test['reduction_rmse']:.0%} of the error could be removed, on line it would be "
+        f"{online['reduction_rmse']:.0%}, because the output would follow for {online['following']:.0%} of the time "
+        f"at a mean confidence of {online['mean_confidence']:.2f} (below {FULL_WEIGHT:g} an estimate counts less, "
+        f"below {NO_WEIGHT:g} not at all); {cause}"
+    )
+
+
+def harm_sentences(
+    channels: Mapping[str, Mapping[str, Any]], by_test: Mapping[str, Mapping[str, Mapping[str, Any]]]
+) -> list[str]:
+    """Return which channels are worse off with the model than without, and in which test most.
+
+    `channels`: figures by channel. `by_test`: test -> channel -> figures.
+    """
+    found = []
+    for name, figures in channels.items():
+        if (reduction := figures["reduction_rmse"]) is None or reduction >= 0.0:
+            continue
+        parts = {test: of[name]["reduction_rmse"] for test, of in by_test.items()}
+        known = {test: value for test, value in parts.items() if value is not None}
+        worst = min(known, key=lambda test: known[test])
+        where = f", worst in {worst} ({known[worst]:.0%})" if len(by_test) > 1 else ""
+        found.append(
+            f"channel {name}: the model leaves {figures['rmse_um']:.3g} um of {figures['rmse_without_um']:.3g} um, "
+            f"worse than no compensation{where}; let no axis follow it as it is: look at the sign and the wiring of "
+            "the channel there, or record 2 more runs like that test"
+        )
+    return found
+
+
+def place(test: str, recording: str) -> str:
+    """Return where something happened: the recording, and which part of it where a test is a part."""
+    return recording if test in ("test", recording) else f"{test} of {recording}"
+
+
+def fault_sentences(faults: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return what came of each fault that was asked for."""
+    found = []
+    for fault in faults:
+        after, ratio = fault["found_after_min"], fault["max_ratio"]
+        met = "not found" if after is None else f"found after {after:.0f} min"
+        largest = "" if ratio is None else f", largest residual {ratio:.2f} times fault-free"
+        found.append(f"{fault['kind']} {fault['sensor']} in {fault['recording']}: {met}{largest}")
+    return found
+
+
+def false_alarm_sentences(tests: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return which sensors were excluded though no fault was asked for, and what that may mean."""
+    alarms = [
+        f"{one['sensor']} in {place(test['name'], one['recording'])} after {one['after_hours']:.1f} h "
+        f"({SIGNS[one['sign']]})"
+        for test in tests
+        for one in test["excluded"]
+    ]
+    if not alarms:
+        return ["false alarms: none"]
+    meaning = "a sensor that was excluded here is either wrong in that recording, or does there what training never saw"
+    return [f"false alarms: {', '.join(alarms)}", meaning]
+
+
+def columns_sentences(columns: Sequence[str]) -> list[str]:
+    """Return what is said of the columns that --common-columns left out."""
+    return [f"left out, because not all recordings have them: {', '.join(columns)}"] if columns else []
+
+
+def temperature_sentences(tests: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return which temperatures were left out, in which tests, and why."""
+    return said_together(
+        [
+            (test["name"], f"temperature {name} is left out of the model: {why}")
+            for test in tests
+            for name, why in test["temperatures_left_out"].items()
+        ]
+    )

@@ -1,0 +1,50 @@
+"""An input that answers from memory is told by how often its numbers changed; a quiet one is not taken for one."""
+
+import numpy as np
+import pytest
+
+from models.standing_input import LEAST_S, StandingInput, renewed_input
+
+PERIOD_S = 10.0
+NOTHING = StandingInput(degc=np.full(4, np.nan))
+
+
+def fed(rows, state=NOTHING):
+    """Return how long it has stood after each row."""
+    found = []
+    for row in rows:
+        now_s = PERIOD_S * (len(found) + 1)
+        state = renewed_input(state, np.asarray(row, dtype=float), now_s)
+        found.append(state.stands_s(now_s))
+    return np.array(found)
+
+
+def noisy(count, step_k, noise_k, seed):
+    rng = np.random.default_rng(seed)
+    return np.round((20.0 + np.array([0.01, 0.33, 0.52, 0.77]) + rng.normal(0, noise_k, (count, 4))) / step_k) * step_k
+
+
+def test_numbers_that_stand_though_they_always_changed_are_found_after_five_minutes():
+    rows = noisy(360, 0.0625, 0.02, 3)
+    stood = fed(np.concatenate([rows, np.tile(rows[-1], (60, 1)), rows]))
+    assert not stood[: 360 + 29].any() and stood[360 + 31 : 420].all() and not stood[421:].any()
+    assert stood[360 + 31] >= LEAST_S
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_machine_that_cools_into_a_quiet_night_answers_from_no_memory(seed):
+    """A day's run of 8 K, then 14 h of rest, in steps of a tenth without any noise: the hardest to tell."""
+    rng = np.random.default_rng(seed)
+    hours = np.arange(0.0, 24.0, PERIOD_S / 3600.0)
+    run_k = np.where(hours < 8.0, 1.0 - np.exp(-hours), np.exp(-(hours - 8.0) / rng.uniform(1.0, 3.0)))
+    degc = (
+        20.0 + np.outer(8.0 * run_k, rng.uniform(0.3, 1.0, 4)) + np.outer(np.sin(hours / 3.8), rng.uniform(0.2, 1.0, 4))
+    )
+    assert not fed(np.round(degc / 0.1) * 0.1).any()
+
+
+def test_one_that_has_just_begun_or_has_no_value_is_not_judged():
+    assert not fed(np.tile([20.0, 21.0, 22.0, 23.0], (400, 1))).any(), "it has never changed"
+    rows = noisy(100, 0.0625, 0.02, 3)
+    assert not fed([*rows, *np.tile(rows[-1], (80, 1))]).any()
+    assert not fed([*noisy(360, 0.0625, 0.02, 3), *np.full((100, 4), np.nan)]).any(), "silent is another fault"
