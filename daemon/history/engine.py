@@ -302,13 +302,20 @@ class Engine:
 
 
 def _take_log_along(connection: sqlite3.Connection, path: Path, inode: int | None) -> None:
-    """Bring the log into the file that is given up: SQLite would take it for the log of the one in its place."""
+    """Bring the log into the file that is given up: SQLite would take it for the log of the one in its place.
+
+    Its index (-shm) goes too: a program that still reads the file that is given up would share it with the new store.
+    """
     try:
         if connection.in_transaction:
             connection.execute("ROLLBACK")
         (busy, _, _) = connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
         log_path = Path(f"{path}-wal")
-        if busy and log_path.exists() and log_path.stat().st_ino == inode:
-            log_path.rename(f"{log_path}.lost")
+        if log_path.exists() and log_path.stat().st_ino == inode:
+            if busy:
+                log_path.rename(f"{log_path}.lost")
+            else:
+                log_path.unlink()
+            Path(f"{path}-shm").unlink(missing_ok=True)
     except (sqlite3.Error, OSError) as error:
         log.error("history.log_left", path=str(path), problem=str(error))

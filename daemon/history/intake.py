@@ -14,6 +14,9 @@ from daemon.history.layout import Layout
 
 LayoutIds = dict[Layout, int]
 Execute = Callable[[sqlite3.Connection, LayoutIds], object]
+LONGEST_WAIT_S = 10.0
+"""The thread that writes looks at the queue this often at least: what may wait as long wakes nobody, who would compete
+with the way to the macro for the interpreter [s]."""
 
 
 class Commit:
@@ -111,7 +114,8 @@ class Intake:
             due_s = time.monotonic() + within_s
             if due_s < self._due_s:
                 self._due_s = due_s
-                self._changed.notify()
+                if within_s < LONGEST_WAIT_S:
+                    self._changed.notify()
 
     def _append(self, entry: Entry) -> None:
         if len(self) >= self._limit:
@@ -140,7 +144,7 @@ class Intake:
                 wait_s = max(self._due_s, not_before_s) - time.monotonic()
                 if wait_s <= 0:
                     break
-                self._changed.wait(min(wait_s, threading.TIMEOUT_MAX))
+                self._changed.wait(min(wait_s, LONGEST_WAIT_S))
             entries = [*self._audit, *self._bulk]
             self._audit.clear()
             self._bulk.clear()

@@ -143,12 +143,16 @@ def _temperature_columns(history: TemperatureHistory, quality: bool) -> Iterator
             yield _column(f"t{sensor_id}_reason", TableType.TEXT), _words(Reason, history.reason[:, index])
 
 
+def names_of(codes: type[Quality] | type[Reason] | type[WriteOutcome]) -> dict[int, str]:
+    """Return codes as their names in lower case."""
+    return {int(code): code.name.lower().replace("_", " ") for code in codes}
+
+
 def _words(
     codes: type[Quality] | type[Reason] | type[WriteOutcome], values: npt.NDArray[np.generic]
 ) -> list[str | None]:
-    """Return codes as their names in lower case; empty where the sensor has no value in the row's cycle."""
-    names: dict[int, str | None] = {int(code): code.name.lower().replace("_", " ") for code in codes}
-    names[NOT_IN_CYCLE] = None
+    """Return codes as their names; empty where the sensor has no value in the row's cycle."""
+    names: dict[int, str | None] = {**names_of(codes), NOT_IN_CYCLE: None}
     return [names.get(int(value), str(value)) for value in values]
 
 

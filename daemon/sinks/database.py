@@ -1,6 +1,7 @@
 """The plant's PostgreSQL database: its schema, and rows by COPY into a staging table, then what is not there yet.
 
-Every table has a key, so that a repeat changes nothing.
+Every table has a key, so that a repeat changes nothing. Where TimescaleDB is there when the schema is made, the tables
+of rows over time are its hypertables, else they have partitions by month; one that is partitioned stays so.
 """
 
 import contextlib
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import psycopg
+import structlog
 from psycopg import sql
 
 from config.schema.sinks import PostgresqlConfig
@@ -19,6 +21,7 @@ from daemon.sinks.contract import SinkError
 from daemon.sinks.outbox import Stream
 from daemon.sinks.postgresql_refusals import newer_schema, refusal, unreadable
 
+log = structlog.get_logger(__name__)
 SCHEMA = "toolpoint"
 ANSWER_TIMES = 6
 """An answer may take so many times as long as connecting."""
@@ -28,6 +31,10 @@ EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 FIRST_YEAR, LAST_YEAR = 2000, 2100
 """Months of these years have a partition each; what a wrong clock has put elsewhere shares one."""
 PARTITIONED = ("temperatures", "estimates", "writes", "cnc", "displacements")
+PARTITIONING = " PARTITION BY RANGE (time)"
+"""What the first script says of them."""
+CHUNK = "7 days"
+"""What a hypertable keeps together: TimescaleDB's own choice."""
 TABLES = {"references": "reference_points"}
 """Stream -> its table, where that is called otherwise."""
 COLUMNS = {"utc_ms": "time", "cycle_utc_ms": "cycle_time"}
@@ -61,6 +68,7 @@ class Database:
         self._connection: psycopg.Connection[Any] | None = None
         self._staged: set[str] = set()
         self._months: set[tuple[str, int, int]] = set()
+        self._partitioned: set[str] = set()
 
     @property
     def connection(self) -> psycopg.Connection[Any]:
@@ -74,6 +82,10 @@ class Database:
             connection = self._connection = self._connect()
             with connection.transaction():
                 self._migrate(connection)
+            found = connection.execute(
+                "SELECT relname FROM pg_class WHERE relnamespace = %s::regnamespace AND relkind = 'p'", (SCHEMA,)
+            )
+            self._partitioned = {name for (name,) in found}
         except (psycopg.Error, OSError) as error:
             raise self.refused(error) from error
 
@@ -107,7 +119,7 @@ class Database:
         names = [sql.Identifier(COLUMNS.get(name, name)) for name in stream.columns]
         target, staging = sql.Identifier(SCHEMA, table), sql.Identifier(f"staging_{table}")
         columns = sql.SQL(", ").join([sql.Identifier("machine"), *names])
-        if table in PARTITIONED:
+        if table in self._partitioned:
             self._make_partitions(table, days)
         if table not in self._staged:
             like = sql.SQL("CREATE TEMP TABLE IF NOT EXISTS {} (LIKE {}) ON COMMIT DELETE ROWS")
@@ -194,9 +206,33 @@ class Database:
             raise SinkError(f"{self._where}: {newer_schema(version, known[-1][0])}")
         for number, script in known:
             if number > version:
-                connection.execute(script)
-                for table in PARTITIONED if number == 1 else ():
-                    make = sql.SQL("CREATE TABLE {} PARTITION OF {} DEFAULT")
-                    names = sql.Identifier(SCHEMA, f"{table}_other"), sql.Identifier(SCHEMA, table)
-                    connection.execute(make.format(*names))
+                if number > 1:
+                    connection.execute(script)
+                elif not self._make_hypertables(connection, script):
+                    connection.execute(script)
+                    for table in PARTITIONED:
+                        make = sql.SQL("CREATE TABLE {} PARTITION OF {} DEFAULT")
+                        names = sql.Identifier(SCHEMA, f"{table}_other"), sql.Identifier(SCHEMA, table)
+                        connection.execute(make.format(*names))
                 connection.execute("INSERT INTO schema_versions (version) VALUES (%s)", (number,))
+
+    def _make_hypertables(self, connection: psycopg.Connection[Any], script: str) -> bool:
+        """Apply the first script with TimescaleDB, where that is there and takes it."""
+        found = connection.execute(
+            "SELECT n.nspname FROM pg_proc AS p JOIN pg_namespace AS n ON n.oid = p.pronamespace "
+            "WHERE p.proname = 'create_hypertable' LIMIT 1"
+        ).fetchone()
+        if found is None:
+            return False
+        make = sql.SQL(
+            "SELECT {}(%s::regclass, 'time', chunk_time_interval => %s::interval, create_default_indexes => false)"
+        ).format(sql.Identifier(found[0], "create_hypertable"))
+        try:
+            with connection.transaction():
+                connection.execute(script.replace(PARTITIONING, ""))
+                for table in PARTITIONED:
+                    connection.execute(make, (f"{SCHEMA}.{table}", CHUNK))
+        except psycopg.Error as error:
+            log.warning("database.timescaledb", problem=f"not used: {refusal(error, self._config)}")
+            return False
+        return True

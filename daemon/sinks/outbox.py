@@ -156,6 +156,14 @@ class Outbox(HistoryReader):
             rows = self._as_sent(stream, names, found) if found else []
         return dict(zip(stream.columns, rows[0], strict=True)) if rows else {}
 
+    def lines(self) -> dict[str, tuple[int, ...]]:
+        """Return every sensor that ever hung on a line, in ascending order, by line."""
+        found: dict[str, set[int]] = {}
+        with naming_damage(self.path):
+            for _, line, members in self._line_layouts():
+                found.setdefault(line, set()).update(members)
+        return {line: tuple(sorted(found[line])) for line in sorted(found)}
+
     def written(self) -> int:
         """Return a number that grows with every row."""
         with naming_damage(self.path):

@@ -9,8 +9,9 @@ import contextlib
 import json
 import math
 import threading
+import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,6 +41,10 @@ UNSTORED = 1000
 """Messages that the broker sends before the first of them is acknowledged, where its own limit is not lower."""
 PING_PERIOD_S = 20
 LOOK_PERIOD_S = 0.5
+TELL_PERIOD_S = 5.0
+"""How often the service manager hears that the process works, and how it fares."""
+APPLICATION = "toolpoint store"
+"""What the database calls its connection."""
 RETRY_FIRST_S, RETRY_LONGEST_S = 1.0, 30.0
 LONGEST_NAME = 200
 LARGEST_MESSAGE = 1 << 18
@@ -227,8 +232,12 @@ class Subscription:
 class PlantStore:
     """Takes from a broker and stores until it is told to stop, however often that fails."""
 
-    def __init__(self, config: PlantStoreConfig, stop: threading.Event) -> None:
-        self._config, self._stop = config, stop
+    def __init__(
+        self, config: PlantStoreConfig, stop: threading.Event, tell: Callable[[str], None] = lambda _status: None
+    ) -> None:
+        """`tell` gets a sentence now and then while it works, on what it does or what keeps it from that."""
+        self._config, self._stop, self._tell = config, stop, tell
+        self._told_s, self._stored = float("-inf"), 0
         self._retry_s = RETRY_FIRST_S
         self._said = ""
 
@@ -241,18 +250,20 @@ class PlantStore:
                 if str(error) != self._said:
                     log.warning("store.failed", problem=str(error))
                 self._said = str(error)
+                self._tell(f"cannot store, tries again: {self._said}")
                 self._stop.wait(self._retry_s)
                 self._retry_s = min(2.0 * self._retry_s, RETRY_LONGEST_S)
 
     def _session(self) -> None:
         there = self._config.postgresql
         where = f"database {there.host}:{there.port}/{there.database}"
-        database, subscription = Database(there, where, "toolpoint store"), Subscription(self._config.mqtt)
+        database, subscription = Database(there, where, APPLICATION), Subscription(self._config.mqtt)
         try:
             database.open()
             subscription.open()
             log.info("store.works", broker=self._config.mqtt.host, database=there.host)
             while not self._stop.is_set():
+                self._works()
                 if messages := subscription.take(LOOK_PERIOD_S):
                     self._store(database, messages)
                     subscription.acknowledge(messages)
@@ -260,6 +271,11 @@ class PlantStore:
         finally:
             subscription.close()
             database.close()
+
+    def _works(self) -> None:
+        if time.monotonic() - self._told_s >= TELL_PERIOD_S:
+            self._told_s = time.monotonic()
+            self._tell(f"stores; {self._stored} messages since the start")
 
     def _store(self, database: Database, messages: Sequence[paho.MQTTMessage]) -> None:
         """Commit the rows of messages; one that the database does not take is named and left out."""
@@ -269,9 +285,11 @@ class PlantStore:
                 _put(database, rows)
             except FAULTS_OF_A_ROW:
                 for row in rows:
+                    self._works()
                     self._put_alone(database, row)
         except (psycopg.Error, OSError) as error:
             raise database.refused(error) from error
+        self._stored += len(messages)
 
     def _row(self, message: paho.MQTTMessage) -> StoredRow | None:
         try:
@@ -285,6 +303,31 @@ class PlantStore:
             _put(database, [row])
         except FAULTS_OF_A_ROW as error:
             log.warning("store.refused", machine=printable(row.machine), stream=row.stream.name, problem=_said(error))
+
+
+def store_status(config: PlantStoreConfig) -> dict[str, Any]:
+    """Return whether a store is connected to the database, and how late each machine's newest row is [s].
+
+    By the database's clock. Raises SinkError.
+    """
+    there = config.postgresql
+    database = Database(there, f"database {there.host}:{there.port}/{there.database}", "toolpoint store status")
+    try:
+        database.open()
+        ask = database.connection.execute
+        (running,) = ask(
+            "SELECT count(*) > 0 FROM pg_stat_activity WHERE application_name = %s", (APPLICATION,)
+        ).fetchone() or (False,)
+        found = ask(
+            "SELECT machine, extract(epoch FROM max(newest))::float8, extract(epoch FROM max(delivered))::float8, "
+            "extract(epoch FROM now() - max(newest))::float8 FROM deliveries GROUP BY machine ORDER BY machine"
+        ).fetchall()
+    except (psycopg.Error, OSError) as error:
+        raise database.refused(error) from error
+    finally:
+        database.close()
+    names = ("machine", "newest_utc_s", "stored_utc_s", "late_s")
+    return {"running": running, "machines": [dict(zip(names, row, strict=True)) for row in found]}
 
 
 def _said(error: Exception) -> str:

@@ -191,33 +191,43 @@ def propose(config_path: Path, json_path: str | None) -> None:
 @option("--bound", type=POSITIVE, help="Share of the error that may be left. Without: what loses a fifth of its worth.")
 @json_option
 def drift(config_path: Path, last_s: float, bound: float | None, json_path: str | None) -> None:
-    """Say from probe values how the error that each model leaves grows, and whether to train anew (then status 1)."""
+    """Say from what was measured how the error that models leave grows, and whether to train anew (then status 1)."""
     import time
+    from collections import Counter
 
     from daemon.history import HistoryReader
-    from daemon.model_release.model_errors import drift_document, measured_errors
+    from daemon.model_release.model_errors import drift_document, in_force, measured_errors
     from daemon.model_release.past_recordings import commissioned_um_per_unit
     from models.json_values import plain
 
     configuration, now_s = read_configuration(config_path), time.time()
     units = commissioned_um_per_unit(configuration)
+    unjudged: Counter[tuple[str, str]] = Counter()
     with HistoryReader(configuration.history.path) as reader:
-        errors = measured_errors(configuration, reader, units, from_utc_s=now_s - last_s, to_utc_s=now_s)
+        span_s = {"from_utc_s": now_s - last_s, "to_utc_s": now_s}
+        errors = measured_errors(configuration, reader, units, **span_s, unjudged=unjudged)
     least_um = configuration.compensation.output.harm_above_um
     found = drift_document(errors, bound=bound, least_error_um=least_um)
-    write_json(json_path, {"models": plain(found)})
+    lost = [{"axis": axis, "values": count, "why": why} for (axis, why), count in unjudged.items()]
+    write_json(json_path, {"models": plain(found), "not_judged": lost})
+    for each in lost:
+        what = f"{each['values']} probe values or minutes of displacements"
+        say(f"axis {each['axis']}: {what} are not judged: {each['why']}")
     for each in found if json_path is None else ():
         click.echo(_drift_in_words(each))
     if not found:
-        say("no probe value of this time was accepted under a reference and a model, so there is nothing to judge by")
-    in_force = {each["axis"]: each["retrain"] for each in found}
-    if any(in_force.values()):
+        say(
+            "of this time there are no probe values that were accepted under a reference and a model, and no two hours "
+            "of displacements with a model, so there is nothing to judge by"
+        )
+    if any(each["retrain"] for each in in_force(found)):
         raise SystemExit(REFUSED)
 
 
 def _drift_in_words(found: dict[str, Any]) -> str:
     """Return one axis and model in a line."""
-    head, told = f"axis {found['axis']}, model {found['model_id']}: {found['probes']} probe values", found["drift"]
+    what = f"{found['values']} {'probe values' if found['source'] == 'probe' else 'minutes of displacements'}"
+    head, told = f"axis {found['axis']}, model {found['model_id']}: {what}", found["drift"]
     if told is None:
         return f"{head}; {len(found['weeks'])} weeks are too few"
     low, high = (100.0 * each for each in told["share_interval"])

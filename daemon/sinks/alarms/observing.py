@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from config.schema import Configuration
 from config.schema.sinks import AlarmsConfig
 from daemon.history.reader import HistoryReader
-from daemon.model_release.model_errors import drift_document, measured_errors
+from daemon.model_release.model_errors import drift_document, in_force, measured_errors
 from daemon.model_release.past_recordings import commissioned_um_per_unit
 from daemon.monitor.control_socket import ControlClient, DaemonUnreachableError, RequestError
 from daemon.sinks.alarms.ledger import Condition, Key
@@ -146,11 +146,11 @@ def worn_models(configuration: Configuration, now_utc_s: float) -> Iterator[Cond
         errors = measured_errors(configuration, reader, units, from_utc_s=past_s, to_utc_s=now_utc_s)
     least_um = configuration.compensation.output.harm_above_um
     judged = drift_document(errors, bound=None, least_error_um=least_um)
-    for axis, found in {each["axis"]: each for each in judged}.items():
-        if found["retrain"]:
-            share, first = (100.0 * found["drift"][key] for key in ("share", "first_share"))
-            text = f"it leaves {share:.0f} % of the error, at first {first:.0f} %: plan to train it anew"
-            yield Condition(kind="model", subject=f"wears out, axis {axis}", text=text, since_utc_s=now_utc_s)
+    worn = {each["axis"]: each for each in in_force(judged) if each["retrain"]}
+    for axis, found in worn.items():
+        share, first = (100.0 * found["drift"][key] for key in ("share", "first_share"))
+        text = f"it leaves {share:.0f} % of the error, at first {first:.0f} %: plan to train it anew"
+        yield Condition(kind="model", subject=f"wears out, axis {axis}", text=text, since_utc_s=now_utc_s)
 
 
 def certificates(section: BaseModel, at: str = "") -> Iterator[tuple[str, Path]]:
