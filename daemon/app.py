@@ -171,6 +171,7 @@ class Daemon:
             slack_um,
             configuration.cnc.guard,
             also_polled=positioning_macros(configuration),
+            pivots_mm=configuration.compensation.pivots_mm,
         )
         self._store = StateStore(self._history, clock)
         self._alive_real_s = float("-inf")
@@ -226,6 +227,7 @@ class Daemon:
                 interlocks=interlocks,
                 limits=limits,
                 resume=self._resume,
+                um_per_unit=self._block.um_per_unit,
                 model_id=model_id,
                 tell_thermal=inbox.put_nowait,
                 on_tick=self._on_tick,

@@ -81,6 +81,17 @@ def _nothing() -> None:
     """Nobody is told."""
 
 
+def told_to_end() -> bool:
+    """Whether the task that runs is cancelled; else a CancelledError is that of a library, which ends no task."""
+    return bool((task := asyncio.current_task()) and task.cancelling())
+
+
+def raise_when_told_to_end(error: BaseException) -> None:
+    """Raise the cancellation of the task that runs; that of a library is an error like others, and comes back."""
+    if isinstance(error, asyncio.CancelledError) and told_to_end():
+        raise error
+
+
 class Backoff:
     """Waits that double up to a bound, each drawn between half and the whole."""
 
@@ -127,12 +138,13 @@ async def _once(
         await attempt()
     except DriverError as error:
         problem, must_be_repaired = str(error), isinstance(error, FatalDriverError)
-    except Exception as error:
+    except (Exception, asyncio.CancelledError) as error:
+        raise_when_told_to_end(error)
         problem = f"unexpected {type(error).__name__}: {error}"
         log.exception("link.defect", link=health.name)
     health.failures += 1
     health.went_down(problem, utc_s())
-    if (task := asyncio.current_task()) is not None and task.cancelling():
+    if told_to_end():
         raise asyncio.CancelledError  # a client's library has taken the cancellation for a lost connection
     if must_be_repaired:
         await asyncio.sleep(backoff.draw())

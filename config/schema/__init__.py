@@ -107,7 +107,7 @@ class Configuration(Section):
         if self.spindle_speed is None:
             return []
         cnc, macros = self.cnc, self.spindle_speed.macros
-        taken = {*cnc.macros.block, *cnc.guard.memory_of(len(cnc.macros.values))}
+        taken = {*cnc.macros.block, *self.guard_memory}
         taken |= {cnc.temperature_macro.macro} if cnc.temperature_macro is not None else set()
         problems: list[tuple[KeyPath, str]] = []
         for key, number in macros.model_dump().items():
@@ -121,14 +121,27 @@ class Configuration(Section):
     def _slopes(self) -> Iterator[tuple[KeyPath, str]]:
         """Yield which slopes this control cannot take."""
         for name in self.compensation.slopes:
-            if not self.cnc.is_sinumerik:
+            if not self.cnc.takes_slopes:
                 sentence = (
-                    "only a SINUMERIK takes a slope (SD43910; cnc.opcua.preset sinumerik): this control gets offsets "
-                    f"alone, so take {name} out of compensation.axes and cnc.macros"
+                    "only a SINUMERIK, a FANUC and LinuxCNC take a slope (cnc.driver opcua, focas, linuxcnc): this "
+                    f"control gets offsets alone, so take {name} out of compensation.axes and cnc.macros"
                 )
                 yield ("compensation", "axes", name, "slope"), sentence
             if name in self.cnc.guard.axes:
                 yield ("cnc", "guard", "axes", name), "a slope acts on the axis that its `slope.of` names; take it out"
+        memory, macros = self.guard_memory, self.cnc.macros
+        taken = {*macros.block, *macros.allowed}
+        if self.compensation.slopes and (memory[-1] > 999 or not taken.isdisjoint(memory)):
+            sentence = (
+                f"with the places of {len(self.compensation.slopes)} slopes it needs #{memory[0]} to #{memory[-1]}: up "
+                "to #999, and outside the macro map and `writable`"
+            )
+            yield ("cnc", "guard", "memory"), sentence
+
+    @property
+    def guard_memory(self) -> range:
+        """Macros that the guard alone writes."""
+        return self.cnc.guard.memory_of(len(self.cnc.macros.values), len(self.compensation.slopes))
 
     def _positionings(self) -> Iterator[tuple[KeyPath, str]]:
         """Yield what is wrong with how positionings are seen."""

@@ -42,14 +42,16 @@ class SlopeConfig(Section):
 
     of: Name = Field(description="axis that the slope acts on", examples=["z"])
     pivot_mm: float = Field(
+        ge=-100_000,
+        le=100_000,
         allow_inf_nan=False,
         description="machine position at which the slope adds nothing [mm]: the model's pivot, and SD43920 on a "
-        "SINUMERIK",
+        "SINUMERIK; on a FANUC and LinuxCNC the guard puts the slope in for where the axis stands when it is called",
         examples=[250.0],
     )
     travel_mm: tuple[float, float] = Field(
         description="lowest and highest machine position of the axis [mm]: between them offset and slope together stay "
-        "within the axis' bound, slew rate and step",
+        "within the axis' bound, slew rate and step; outside, the guard of a FANUC or LinuxCNC refuses with status 12",
         examples=[[0.0, 500.0]],
     )
 
@@ -297,6 +299,11 @@ class CompensationConfig(Section):
         return {name: axis.slope for name, axis in self.axes.items() if axis.slope is not None}
 
     @property
+    def pivots_mm(self) -> dict[str, float]:
+        """Machine position at which each slope adds nothing [mm], by the name of its entry."""
+        return {name: slope.pivot_mm for name, slope in self.slopes.items()}
+
+    @property
     def asked_for(self) -> tuple[str, ...]:
         """Axes that a request of the NC program may name by their places, '' for a slope, which it may not."""
         return tuple("" if axis in self.slopes else axis for axis in self.axes)
@@ -309,6 +316,11 @@ class CompensationConfig(Section):
     def unit_of(self, axis: str) -> dict[str, str]:
         """Return what status says of the unit of a slope; nothing of an offset, which is in um."""
         return {"unit": "um/m"} if axis in self.slopes else {}
+
+    def pivot_of(self, axis: str) -> dict[str, float]:
+        """Return what status says of an offset that has a slope: where its numbers hold; nothing of others."""
+        pivots_mm = [slope.pivot_mm for slope in self.slopes.values() if slope.of == axis]
+        return {"pivot_mm": pivots_mm[0]} if pivots_mm else {}
 
     @cached_property
     def outputs(self) -> dict[str, AxisConfig]:

@@ -24,13 +24,16 @@ class GuardWatch:
         """Time of running program since the guard's last run [s]."""
         self.refusals = 0
         """Runs of the guard, one after the other, that took nothing over."""
+        self.nearing = 0
+        """Runs, one after the other, that moved a slope by a step, and left it short of where its axis stands."""
 
     def follow(self, echo: Echo, sample: CncSample) -> None:
         """Take one poll."""
         now_s = sample.time.monotonic_s
         if echo.time_s != self._echo_time_s:
             self.silent_s = 0.0
-            self.refusals = 0 if echo.status in GUARD_CONTENT else self.refusals + 1
+            self.refusals = 0 if echo.status in (*GUARD_CONTENT, NEARING) else self.refusals + 1
+            self.nearing = self.nearing + 1 if echo.status == NEARING else 0
         elif sample.run is CncRun.START and self._previous_s is not None:
             self.silent_s += now_s - self._previous_s
         self._echo_time_s, self._previous_s = echo.time_s, now_s
@@ -60,8 +63,9 @@ def _alarms(
     inhibit: Inhibit | None,
 ) -> Iterator[str]:
     """Yield what is wrong at the guard, and what has been held for too long."""
-    if memory.state in ASKS_THE_GUARD and guard.refusals >= REFUSALS and echo is not None:
-        yield f"the guard does not apply the block (status {echo.status}, see docs/reference/macros.md)"
+    if memory.state in ASKS_THE_GUARD and max(guard.refusals, guard.nearing) >= REFUSALS and echo is not None:
+        of_slope = SLOPE_SAYS.get(echo.status or 0)
+        yield of_slope or f"the guard does not apply the block (status {echo.status}, see docs/reference/macros.md)"
     elif memory.state in (OutputState.ACTIVE, OutputState.RETREAT) and guard.silent_s > config.guard_alarm_after_s:
         yield (
             f"the guard has not run for {config.guard_alarm_after_s / 60:g} min while the program ran, so nothing that "
@@ -73,3 +77,13 @@ def _alarms(
 
 GUARD_CONTENT = (None, 0, 1)
 """Echo status while the guard has nothing against the block: never run, applied, or nothing enabled."""
+PLACE, NEARING = 12, 13
+SLOPE_SAYS = {
+    PLACE: "the guard applies nothing of the block, of any axis: one with a slope stands outside its travel, or the "
+    "control does not say where (status 12): call the guard where the work is, or give slope.travel_mm of that axis "
+    "its whole travel and load the text that `toolpoint guard` prints",
+    NEARING: "the guard applies the block, but a slope is not yet in for where its axis stands (status 13): a call "
+    "moves it by one step, and the axis stood elsewhere each time; let the program call the guard again, the axis "
+    "standing where the work is, until the status is another",
+}
+"""What it says by its status where it has a slope to put in for where the axis stands."""

@@ -1,6 +1,6 @@
 """The parts of the control task, which the composition root hands in."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -47,6 +47,8 @@ class ControlParts:
     interlocks: Interlocks
     limits: OutputLimits
     resume: ResumePoint
+    um_per_unit: Mapping[str, float]
+    """Movement per unit of the macro value by axis [um]."""
     model_id: str | None
     """The model at the start."""
     tell_thermal: Callable[[ToThermal], None]

@@ -14,7 +14,7 @@ from models.control.baseline import probe_inhibit, tool_setting_inhibit
 from models.control.compensation import first_inhibit
 from models.control.inhibit import Inhibit, InhibitCode
 from models.control.state import OutputInputs, OutputLimits, OutputMemory
-from models.records import FloatArray, Instant, ProbeSample, ThermalErrorEstimate
+from models.records import CncSample, FloatArray, Instant, ProbeSample, ThermalErrorEstimate
 
 LOST = "the link to the CNC was lost before it took effect; ask again"
 FAULTY = "the output went into FAULT before it took effect; acknowledge the fault, then measure again"
@@ -52,6 +52,11 @@ class MeasuredByNc:
         self.tool = ToolInSpindle(references)
         self.tool_setting: tuple[bool, ...] | None = None
         self.probe_um: FloatArray | None = None
+
+    def on_sample(self, sample: CncSample, estimate: ThermalErrorEstimate | None) -> None:
+        """Take one poll: the tool in the spindle, and where the axes stand."""
+        self.tool.on_sample(sample.tool_number, estimate)
+        self._skill.stand(sample)
 
     def set_tool(self, axis: str) -> str:
         """Make what is applied the baseline of the tool in the spindle; return why it is refused."""
@@ -97,7 +102,7 @@ class MeasuredByNc:
         if self._probe is not None:
             self._history.probe(self._probe if effective else replace(self._probe, accepted=False, reason=lost))
             if effective:
-                self._skill.probe(self._probe, memory)
+                self._skill.probe(self._probe, memory, inputs)
         if self.tool_setting is not None and effective:
             self.tool.begin(self.tool.number, self._look().estimate)
             axis = self._limits.axes[self.tool_setting.index(True)]

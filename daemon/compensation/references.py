@@ -48,8 +48,10 @@ class References:
         tell_thermal: Callable[[ToThermal], None],
         journal: Journal,
         handshake: Handshake,
+        um_per_unit: Mapping[str, float],
     ) -> None:
-        self._rules = reference_rules(configuration, clock.speed)
+        """`um_per_unit`: movement per unit of the macro value by axis [um]."""
+        self._rules = reference_rules(configuration, clock.speed, um_per_unit)
         self._safe_sequence_numbers = frozenset(configuration.compensation.output.safe_sequence_numbers)
         self._safe_flag = configuration.cnc.macros.safe_flag
         self._clock = clock

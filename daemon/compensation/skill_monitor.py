@@ -1,25 +1,32 @@
 """Compares the estimate with displacements and probe values while the daemon runs, and inhibits one that does harm."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from config.schema import Configuration
 from models.control.axis_map import AxisSource, nose_errors_um
 from models.control.inhibit import Inhibit, InhibitCode
-from models.control.state import OutputMemory
-from models.records import DisplacementSample, FloatArray, ProbeSample, ThermalErrorEstimate
+from models.control.state import OutputInputs, OutputMemory
+from models.records import CncSample, DisplacementSample, FloatArray, ProbeSample, ThermalErrorEstimate
 from models.thermal.skill import SkillRecord, does_harm, rms_um, with_measurement
+
+if TYPE_CHECKING:
+    from daemon.compensation.sloped_skill import SlopedSkill
 
 
 class SkillWatch:
     """Compares measured with estimated errors since the reference; owned by the control task.
 
     A displacement channel belongs to the axis whose estimate has its name. It is taken to feel what the
-    NC applies, so measured minus applied is the error without compensation.
+    NC applies, so measured minus applied is the error without compensation. On an axis with a slope estimate and
+    compensation are those where the axis stood. `say`: tells a person what is not judged.
     """
 
-    def __init__(self, sources: Sequence[AxisSource], configuration: Configuration) -> None:
+    def __init__(
+        self, sources: Sequence[AxisSource], configuration: Configuration, say: Callable[[str], None] = lambda _: None
+    ) -> None:
         displacements = configuration.displacements
         channels = [] if displacements is None else [(each.axis, each.name) for each in displacements.every_channel]
         self._sources = tuple(sources)
@@ -34,8 +41,18 @@ class SkillWatch:
         self._inhibit: Inhibit | None = None
         self._judged = True
         """Whether that is the verdict on the latest measurement."""
-        self._zero: dict[str, tuple[float, float, float]] = {}
-        """By axis: measured, estimated and applied where it counts from [um]."""
+        self._zero: dict[tuple[str, int], tuple[float, float, float]] = {}
+        """By axis and place: measured, estimated and applied where it counts from [um]."""
+        self._sloped: SlopedSkill | None = None
+        if configuration.compensation.slopes:
+            from daemon.compensation import sloped_skill  # noqa: PLC0415 (loaded where there are slopes)
+
+            self._sloped = sloped_skill.SlopedSkill(configuration, self._axes, say)
+
+    def stand(self, sample: CncSample) -> None:
+        """Take where the axes stand at a poll of the CNC."""
+        if self._sloped is not None:
+            self._sloped.take(sample)
 
     def count_from(self, reference_id: str | None, model_id: str | None) -> None:
         """Begin anew with every reference and every model."""
@@ -53,18 +70,28 @@ class SkillWatch:
         estimated_um = nose_errors_um(self._sources, estimate)
         for axis, column in self._column.items():
             i = self._axes.index(axis)
-            now = (float(sample.um[column]), float(estimated_um[i]), float(applied_um[i]))
+            now, place = (float(sample.um[column]), float(estimated_um[i]), float(applied_um[i])), 0
             if not np.isfinite(now).all():
                 continue
-            um, estimated, applied = self._zero.setdefault(axis, now)
-            if now is not self._zero[axis]:
+            if self._sloped is not None:
+                if (there := self._sloped.there(axis, sample.utc_s, estimated_um, applied_um)) is None:
+                    continue
+                now, place = (now[0], now[1] + there.estimated_um, now[2] + there.applied_um), there.place
+            um, estimated, applied = zero = self._zero.setdefault((axis, place), now)
+            if now is not zero:
                 self._take(axis, (now[0] - um) - (now[2] - applied), now[1] - estimated)
 
-    def probe(self, sample: ProbeSample, memory: OutputMemory) -> None:
+    def probe(self, sample: ProbeSample, memory: OutputMemory, inputs: OutputInputs) -> None:
         """Take a probe value: without what is applied beyond the reference's baseline it is the error."""
         self.count_from(sample.reference_id, memory.model_id)
         since_baseline_um = sample.applied_um - float(memory.baseline_um[self._axes.index(sample.axis)])
-        self._take(sample.axis, sample.deviation_um - since_baseline_um, sample.thermal_error_um)
+        estimated_um = sample.thermal_error_um
+        if self._sloped is not None:
+            of_slopes = (inputs.error_of_tool_point_um, inputs.applied_um - memory.baseline_um)
+            if (there := self._sloped.there(sample.axis, sample.time.utc_s, *of_slopes)) is None:
+                return
+            since_baseline_um, estimated_um = since_baseline_um + there.applied_um, estimated_um + there.estimated_um
+        self._take(sample.axis, sample.deviation_um - since_baseline_um, estimated_um)
 
     def inhibit(self) -> Inhibit | None:
         """Return why the model must not be followed any more, None while it does no harm."""

@@ -4,6 +4,7 @@ It alone owns the output's memory, the reference and the CNC session. Whatever o
 is taken in its own stack. An exception that nobody expected becomes a latched FAULT; a lost link never does.
 """
 
+import asyncio
 from collections.abc import Awaitable
 from dataclasses import replace
 from functools import partial
@@ -28,6 +29,7 @@ from daemon.compensation.references import References
 from daemon.compensation.restart import StartupRecovery, record_changes
 from daemon.compensation.skill_monitor import SkillWatch
 from daemon.messages import EstimateComing, ReferenceRebased, ReferenceRefused, SensorsSinceReference
+from daemon.supervisor import raise_when_told_to_end
 from drivers.contract import DriverError, LinkError
 from models.control.compensation import follow_inhibit, step
 from models.control.inhibit import Inhibit
@@ -59,8 +61,9 @@ class ControlTask:
         self.modelled = parts.interlocks.modelled
         self._sources = axis_sources(configuration)
         handshake = Handshake(configuration.cnc.macros.request, configuration.compensation.asked_for)
-        self._references = References(configuration, self._clock, history, parts.tell_thermal, self.journal, handshake)
-        self.skill = SkillWatch(self._sources, configuration)
+        told = parts.tell_thermal, self.journal, handshake, parts.um_per_unit
+        self._references = References(configuration, self._clock, history, *told)
+        self.skill = SkillWatch(self._sources, configuration, self.journal.notice)
         self._measured = MeasuredByNc(self.limits, history, self.journal, self.skill, self._references, self._now)
         self._desk = RequestDesk(handshake, self._references, self.journal, self._measured)
         self.guard_watch = GuardWatch()
@@ -73,10 +76,9 @@ class ControlTask:
         self.requests = Requests(
             parts.interlocks, self.journal, self._link, self._references, self._startup, self._inbox
         )
-        self._stopping = False
+        self._stopping = self._unseen_reference = False
         self._estimate: ThermalErrorEstimate | None = None
         self._fresh: ThermalErrorEstimate | None = None
-        self._unseen_reference = False
         self.memory: OutputMemory | None = None
         self.command: CompensationCommand | None = None
 
@@ -133,10 +135,9 @@ class ControlTask:
 
     async def run(self) -> None:
         """Serve until stopped: messages and estimates as they come, polls and ticks as they fall due."""
-        configuration = self._parts.configuration
         shortest_s, now_s = SHORTEST_POLL_REAL_S * self._clock.speed, self._clock.now().monotonic_s
-        poll = Cadence(max(configuration.cnc.poll_period_s, shortest_s), now_s)
-        tick = Cadence(max(configuration.compensation.output.tick_s, poll.period_s), now_s)
+        poll = Cadence(max(self._parts.configuration.cnc.poll_period_s, shortest_s), now_s)
+        tick = Cadence(max(self._output.tick_s, poll.period_s), now_s)
         while not self._stopping:
             await self._sleep_until(poll.next_s)
             now_s = self._clock.now().monotonic_s
@@ -165,7 +166,8 @@ class ControlTask:
             await work
         except DriverError as error:
             self._link.lost(error if isinstance(error, LinkError) else LinkError(str(error)))
-        except Exception as error:
+        except (Exception, asyncio.CancelledError) as error:
+            raise_when_told_to_end(error)
             log.exception("control.defect")
             self.journal.raise_fault(f"unexpected {type(error).__name__} in the output task: {error}")
 
@@ -225,7 +227,7 @@ class ControlTask:
         self.journal.raise_fault(*problems)
         self.guard_watch.follow(session.echo, sample)
         self._references.on_sample(sample, asked_s)
-        self._measured.tool.on_sample(sample.tool_number, self._estimate)
+        self._measured.on_sample(sample, self._estimate)
         await self._desk.look(session)
         if self.memory is None:
             now = self._clock.now()

@@ -11,7 +11,7 @@ from drivers.contract import MM_PER_INCH
 from models.align import RollingMean
 from models.records import FloatArray
 from models.thermal.family import ThermalModel
-from models.thermal.model import Domain
+from models.thermal.positions import beyond_positions, trust_in_positions
 
 SLACK_MM = 1.0
 """A position may lie outside its travel, or farther than the axis can have come, by so much."""
@@ -19,8 +19,6 @@ AGREEING = 2
 """So many values in a row that an axis cannot have reached are no slip of one value: the positions have changed."""
 SAME_MM = 0.002
 """A position that is so nearly the one before in the other unit has not moved: the control's unit has changed."""
-FADES_OVER = 0.1
-"""Beyond the positions of training confidence fades to 0 within this share of their range."""
 
 
 class AxisPositions(NoPositions):
@@ -34,6 +32,7 @@ class AxisPositions(NoPositions):
         self._mean = RollingMean(self._window_s)
         count = len(self.names)
         self._last_mm, self._last_s = np.full(count, np.nan), np.full(count, -np.inf)
+        self._whole_s = np.full(count, -np.inf)
         self._unreachable = np.zeros(count, dtype=int)
         self._why = dict.fromkeys(self.names, "the control has given none yet")
         self._jumped: dict[str, str] = {}
@@ -49,6 +48,8 @@ class AxisPositions(NoPositions):
             if why := self._not_believed(place, name, now_s, mm, poll.no_position):
                 self._why[name] = why
                 continue
+            if now_s - self._last_s[place] > self._window_s / 2:
+                self._whole_s[place] = now_s + self._window_s
             believed[place] = self._last_mm[place] = mm
             self._last_s[place] = now_s
             self._why[name] = "none has been read for longer than cnc.stale_after_s"
@@ -92,7 +93,7 @@ class AxisPositions(NoPositions):
         inside = np.flatnonzero((mm >= lowest - SLACK_MM) & (mm <= highest + SLACK_MM))
         reach_mm = SLACK_MM + axis.rapid_mm_per_min / 60.0 * np.diff(time_s[inside])
         jumps = np.abs(np.diff(mm[inside])) > reach_mm
-        slips = np.append(False, jumps) & np.append(jumps, False)
+        slips = (np.append(False, jumps) & np.append(jumps, False))[: len(inside)]
         found = np.full(len(mm), np.nan)
         found[inside[~slips]] = mm[inside[~slips]]
         return found
@@ -119,6 +120,7 @@ class AxisPositions(NoPositions):
         jumping = self._unreachable >= AGREEING
         self._last_s[jumping], self._last_mm[jumping], self._unreachable[jumping] = -np.inf, np.nan, 0
         self._jumped.clear()
+        self._whole_s[:] = -np.inf
         self.reference_mm = np.where(now_s - self._last_s <= self._stale_after_s, self._last_mm, np.nan)
         self._mean = RollingMean(self._window_s)
         self._mean.add(now_s, self.reference_mm)
@@ -144,6 +146,11 @@ class AxisPositions(NoPositions):
                     f"model {model.model_id} needs the position of axis {self._axes[name].axis} ({name}), which is "
                     f"not known: {self._jumped.get(name) or self._why[name]}"
                 )
+            if (left_s := self._whole_s[place] - now_s) > 0.0:
+                return (
+                    f"the position of axis {self._axes[name].axis} ({name}) is back, and model {model.model_id} "
+                    f"follows its mean over {self._window_s:g} s, which is whole in {left_s:.0f} s"
+                )
         return ""
 
     def trust(self, model: ThermalModel, now_s: float, imputed: Collection[int]) -> tuple[float, str]:
@@ -161,8 +168,8 @@ class AxisPositions(NoPositions):
         ids = model.sensor_ids[len(model.sensor_ids) - len(places) :]
         if left_out := [name for name, i in zip(model.axis_positions, ids, strict=True) if i in imputed]:
             return 0.0, f"the position of {left_out[0]} was missing since the reference: position the work again"
-        beyond = _beyond(model, mean_mm, then_mm)
-        if (factor := float(np.clip(1.0 - beyond.max(initial=0.0), 0.0, 1.0))) > 0.0:
+        beyond = beyond_positions(model, mean_mm, then_mm)
+        if (factor := float(trust_in_positions(beyond))) > 0.0:
             return factor, ""
         worst = int(np.argmax(beyond))
         return 0.0, (
@@ -172,15 +179,3 @@ class AxisPositions(NoPositions):
 
     def _places(self, model: ThermalModel) -> Sequence[int]:
         return [self.names.index(name) for name in model.axis_positions]
-
-
-def _beyond(model: ThermalModel, mean_mm: FloatArray, then_mm: FloatArray) -> FloatArray:
-    """Return how far each position lies beyond those of training, in shares of the range over which trust fades."""
-    domain: Domain | None = getattr(model, "domain", None)
-    if domain is None:
-        return np.full(len(mean_mm), np.inf)
-    of_axes = slice(len(domain.lowest) - len(mean_mm), None)
-    lowest, highest = domain.lowest[of_axes], domain.highest[of_axes]
-    seen = mean_mm - then_mm if domain.of_increments else mean_mm
-    width = np.maximum(FADES_OVER * (highest - lowest), SLACK_MM)
-    return np.asarray(np.maximum(np.maximum(lowest - seen, seen - highest), 0.0) / width)

@@ -10,9 +10,10 @@ from config.schema import Configuration
 from drivers.clock import Clock
 from models.align import RollingMean
 from models.cleanse import CleansingRules, CleansingState, IndexArray, age_s, cleanse_cycle, initial_state
-from models.quality import Quality, Reason
+from models.quality import GOOD, Quality, Reason
 from models.records import FloatArray, MachineTemperatures, Reference, TemperatureCycle
 from models.sensor_levels import BelievedValues, first_levels, renewed_levels, trusted_anew, with_past
+from models.standing_input import StandingInput, renewed_input
 
 NAMED = 3
 """So many sensors are named in one sentence."""
@@ -30,6 +31,9 @@ class Cleansing:
         self._lines = {
             each.name: (np.array([position[i] for i in each.sensor_ids]), each.cycle_period_s)
             for each in temperatures.inputs
+        }
+        self._standing = {
+            name: StandingInput(degc=np.full(len(places), np.nan)) for name, (places, _) in self._lines.items()
         }
         self._sensor_ids = temperatures.sensor_ids
         self._period_s = np.zeros(len(position))
@@ -74,7 +78,7 @@ class Cleansing:
         They were `absent` until now; what they would count from, once set anew, would be that level, also when they
         leave it again.
         """
-        if reference is None:
+        if reference is None or not absent.any():
             return self.mean_degc()
         now_s = -np.inf if self.latest is None else self.latest.trace.first_byte.monotonic_s
         doubted = (self.levels.uncertainty_k != 0.0) & (self.levels.shift_k == 0.0)
@@ -86,16 +90,32 @@ class Cleansing:
 
         `degc`: what `counted_degc` gave. `confidence`: of the estimate from it.
         """
+        if self.latest is not None and (why := self.stands(self.latest.trace.first_byte.monotonic_s)):
+            return why
+        if confidence >= self._full:
+            return ""
         out = np.flatnonzero(np.isnan(degc) & np.isfinite(self.mean_degc()) & (self.levels.uncertainty_k != 0.0))
-        if confidence >= self._full or not len(out):
+        if not len(out):
             return ""
         named = ", ".join(f"sensor {self._sensor_ids[i]}" for i in out[:NAMED])
         return f"{named} came back at a level that is doubted, and too much rests on it: position the work again"
+
+    def stands(self, now_s: float) -> str:
+        """Return which line or source seems to answer from memory, '' when none does."""
+        for name, each in self._standing.items():
+            if stood_s := each.stands_s(now_s):
+                return (
+                    f"{name} has sent the very same numbers for {stood_s / 60.0:.0f} min, though they changed all the "
+                    "time before: it may answer from memory; check it and what its sensors hang on"
+                )
+        return ""
 
     def refusal(self, usable: int, now_s: float) -> str:
         """Return why the means of now are no reference, '' when they are; `usable`: how many sensors have one."""
         if usable == 0:
             return f"no temperature has arrived in the last {self.window_s:.0f} s"
+        if why := self.stands(now_s):
+            return why
         mixed = np.flatnonzero(now_s - self._jumped_at_s <= self.window_s)[:NAMED]
         if not len(mixed):
             return ""
@@ -108,7 +128,10 @@ class Cleansing:
         `degc`: the means, NaN where a sensor has none. `imputed`: IDs of sensors that do not count.
         """
         ages_s = age_s(self._state, now_s)
-        held = np.isfinite(degc) & (ages_s > HELD_PERIODS * self._period_s) & ~np.isin(self._sensor_ids, [*imputed])
+        held = np.isfinite(degc) & (ages_s > HELD_PERIODS * self._period_s)
+        if not held.any():
+            return 0.0
+        held &= ~np.isin(self._sensor_ids, [*imputed])
         return float(ages_s[held].max(initial=0.0))
 
     def recall(self, degc: FloatArray, at_s: FloatArray) -> None:
@@ -127,6 +150,8 @@ class Cleansing:
         result = cleanse_cycle(
             self._rules, self._state, indices, cycle.degc, cycle.quality, cycle.reason, now_s, period_s
         )
+        read = np.where(cycle.quality == Quality.GOOD, cycle.degc, np.nan)
+        self._standing[cycle.line] = renewed_input(self._standing[cycle.line], read, now_s)
         before_degc, self._state = self._state.accepted_degc[indices], result.state
         self._measured[indices] = cycle.degc
         degc = self.latest.degc.copy() if self.latest is not None else np.full(len(self._measured), np.nan)
@@ -135,21 +160,23 @@ class Cleansing:
         self._reason[indices] = result.reason
         ages_s = age_s(self._state, now_s)
         stale = ages_s > self._rules.stale_after_s
-        degc[stale] = np.nan
-        unsaid = stale & (self._quality != Quality.MISSING)
-        self._quality[unsaid], self._reason[unsaid] = Quality.MISSING, Reason.STALE
-        usable = (cycle.quality == Quality.GOOD) & np.isfinite(cycle.degc)
+        if stale.any():
+            degc[stale] = np.nan
+            unsaid = stale & (self._quality != Quality.MISSING)
+            self._quality[unsaid], self._reason[unsaid] = Quality.MISSING, Reason.STALE
+        usable = (cycle.quality == GOOD) & np.isfinite(cycle.degc)
         heard = now_s - self._usable_at_s[indices] <= HELD_PERIODS * period_s
         returned = result.returned & self._after_silence(indices, usable, now_s)
-        far = (result.quality == Quality.GOOD) & (np.abs(result.degc - before_degc) > self._rules.max_change_degc)
+        good = result.quality == GOOD
+        far = good & (np.abs(result.degc - before_degc) > self._rules.max_change_degc)
         far &= ~result.straight
         jumped = (result.new_level | (far & heard)) & ~returned & np.isfinite(before_degc)
         self._jumped_at_s[indices[far]] = now_s
-        self._silent[indices[result.quality == Quality.GOOD]] = False
+        self._silent[indices[good]] = False
         seen = BelievedValues(
             now_s=now_s,
             indices=indices,
-            degc=np.where(result.quality == Quality.GOOD, result.degc, np.nan),
+            degc=np.where(good, result.degc, np.nan),
             returned=returned,
             new_level=result.new_level | ~np.isfinite(before_degc),
             jump_k=np.where(jumped, result.degc - before_degc, 0.0),

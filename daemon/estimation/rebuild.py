@@ -1,11 +1,11 @@
 """Reads means per period from the store, from which a model's states are rebuilt."""
 
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator
 
 import numpy as np
 import structlog
 
+from config.schema import Configuration
 from daemon.estimation.inputs import NoPositions
 from daemon.history import HistoryError, HistoryReader
 from daemon.telemetry.metrics import give_memory_back
@@ -17,7 +17,7 @@ log = structlog.get_logger(__name__)
 WINDOW_S = 600.0
 """So much is read at once; an hour of all sensors would leave the daemon 20 MiB larger."""
 RECALL_S = 600.0
-"""A restart holds its first temperatures against what was accepted so shortly before [s]."""
+"""What was accepted last is looked for in windows of this length, back from now [s]."""
 LEAD_S = 120.0
 """Read a little earlier, so that a value that is held at the window's begin is known [s]."""
 
@@ -25,10 +25,11 @@ LEAD_S = 120.0
 class HistoryBackfill:
     """Reads one machine's store; times are the monotonic clock's."""
 
-    def __init__(self, store: Path, sensor_ids: Sequence[int], clock: Clock, positions: NoPositions) -> None:
+    def __init__(self, configuration: Configuration, clock: Clock, positions: NoPositions) -> None:
         """`positions`: those of the axes follow the temperatures of `means` [mm]."""
-        self._store = store
-        self._sensor_ids = tuple(sensor_ids)
+        self._store = configuration.history.path
+        self._sensor_ids = configuration.temperatures.sensor_ids
+        self._longest_s = configuration.compensation.reference.max_outage_s
         self._clock = clock
         self._positions = positions
 
@@ -51,21 +52,27 @@ class HistoryBackfill:
         give_memory_back()
 
     def last_accepted(self) -> tuple[FloatArray, FloatArray]:
-        """Return the latest accepted value of each sensor [degC] and when it was [s]; NaN and -inf where none is."""
+        """Return the latest accepted value of each sensor [degC] and when it was [s]; NaN and -inf where none is.
+
+        It reaches as far back as an outage may last after which a reference is taken up.
+        """
         degc, at_s = np.full(len(self._sensor_ids), np.nan), np.full(len(self._sensor_ids), -np.inf)
         now = self._clock.now()
         if not self._store.is_file():
             return degc, at_s
         try:
             with HistoryReader(self._store, also_on_full_disk=True) as reader:
-                found = reader.temperatures(self._sensor_ids, now.utc_s - RECALL_S, now.utc_s)
+                until_s = now.utc_s
+                while not np.isfinite(degc).any() and now.utc_s - until_s < self._longest_s:
+                    found = reader.temperatures(self._sensor_ids, until_s - RECALL_S, until_s)
+                    good = found.quality == Quality.GOOD
+                    for column in np.flatnonzero(good.any(axis=0)):
+                        row = np.flatnonzero(good[:, column])[-1]
+                        degc[column] = found.degc[row, column]
+                        at_s[column] = found.time_s[row] - now.utc_s + now.monotonic_s
+                    until_s -= RECALL_S
         except HistoryError as error:
             log.error("history.unreadable", problem=str(error))
-            return degc, at_s
-        good = found.quality == Quality.GOOD
-        for column in np.flatnonzero(good.any(axis=0)):
-            row = np.flatnonzero(good[:, column])[-1]
-            degc[column], at_s[column] = found.degc[row, column], found.time_s[row] - now.utc_s + now.monotonic_s
         return degc, at_s
 
     def _window(

@@ -92,6 +92,11 @@ class SinceReference:
                 self._means[label] = _mean_from(found, self._fading(found.rest_k))
         log.info("sensors.restored", absent=len(kept.absent), excluded=sorted(self.excluded))
 
+    def waits_for_sensors(self, reference: Reference, of_model: Places, heard: npt.NDArray[np.bool_]) -> bool:
+        """Whether sensors that counted before a restart have had no value yet: none of them has left for that."""
+        needed = np.isin(np.arange(len(self._sensor_ids)), np.concatenate([*self._labels.values(), of_model]))
+        return bool((needed & np.isfinite(reference.degc) & ~self.absent & ~heard).any())
+
     def goes_on_um(
         self,
         model: ThermalModel,
@@ -106,18 +111,15 @@ class SinceReference:
         output has stood there since, and what was estimated from too few sensors would only lead it astray.
         """
         rest_um = self._rest_um(model.channels, time_min)
-        if self._before is not None:
-            model_id, away, before_um = self._before
+        model_id, away, before_um = self._before or ("", (), now_um)
+        if (same := model_id == model.model_id) and set(away) - set(imputed):
             if self._followed_um is not None and not np.allclose(before_um, now_um + rest_um, atol=SAME_UM):
                 before_um = self._followed_um
-            if model_id == model.model_id and set(away) - set(imputed):
-                steps = zip(model.channels, before_um, now_um, strict=True)
-                self._rest = {
-                    name: hidden_step(np.array([then]), np.array([now]), time_min) for name, then, now in steps
-                }
-                rest_um = before_um - now_um
+            steps = zip(model.channels, before_um, now_um, strict=True)
+            self._rest = {name: hidden_step(np.array([then]), np.array([now]), time_min) for name, then, now in steps}
+            rest_um = before_um - now_um
         self._before = (model.model_id, imputed, now_um + rest_um)
-        if followed or (self._followed_um is not None and len(self._followed_um) != len(now_um)):
+        if followed or not same:  # what another model said of its channels is no beginning for this one
             self._followed_um = now_um + rest_um if followed else None
         return now_um + rest_um
 
@@ -129,10 +131,13 @@ class SinceReference:
         tool_um = sum(
             abs(float(mean.rest.at(time_min)[0])) * float(tool_um_per_k[self._labels[label]].sum())
             for label, mean in self._means.items()
+            if mean.rest.amount[0]
         )
         return float(np.abs(self._rest_um(channels, time_min)).max(initial=0.0)) + tool_um
 
     def _rest_um(self, channels: Sequence[str], time_min: float) -> FloatArray:
+        if not self._rest:
+            return np.zeros(len(channels))
         nothing = Fading(amount=np.zeros(1))
         return np.array([self._rest.get(name, nothing).at(time_min)[0] for name in channels])
 
@@ -157,6 +162,8 @@ class SinceReference:
 
         It says so until the next reference: a tool may have begun to count while one of them was wrong.
         """
+        if not self.excluded:
+            return ""
         wrong = np.isin(self._sensor_ids, list(self.excluded)) & (tool_um_per_k > 0.0)
         if not wrong.any():
             return ""

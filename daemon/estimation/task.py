@@ -128,7 +128,7 @@ class ThermalTask:
         self._speed = RollingMean(configuration.compensation.reference.mean_s)
         self._speed_at_s = self._taken_up_s = -np.inf
         self._positions = _open_positions(configuration)
-        self._past = HistoryBackfill(history.path, self._sensor_ids, clock, self._positions)
+        self._past = HistoryBackfill(configuration, clock, self._positions)
         self._online = self._in_use(model)
         self._next: ModelInUse | None = None  # waits for an estimate to go on from, or a reference
         self._since = SinceReference(self._sensor_ids, self._labels)
@@ -150,12 +150,7 @@ class ThermalTask:
 
     async def run(self) -> None:
         """Serve the inbox for ever."""
-        try:
-            await self.recall()
-            if self._online is not None:
-                await asyncio.to_thread(self._online.prepare, self._clock.now().monotonic_s)
-        except Exception:  # what the store does not give is unknown, which the estimates say
-            log.exception("thermal.defect")
+        await self.begin()
         while True:
             item = await self.inbox.get()
             try:
@@ -168,10 +163,22 @@ class ThermalTask:
                     self._deliver(ReferenceRefused(reference_id=item.reference_id, why=why))
             self._on_change()
 
+    async def begin(self) -> None:
+        """Take from the store what it gives; the rest is unknown, which the estimates say."""
+        for step in (self.recall, self._prepare):
+            try:
+                await step()
+            except Exception:
+                log.exception("thermal.defect")
+
     async def recall(self) -> None:
         """Hold the first temperatures against those that the previous run accepted last."""
         degc, at_s = await asyncio.to_thread(self._past.last_accepted)
         self._cleansing.recall(degc, at_s)
+
+    async def _prepare(self) -> None:
+        if self._online is not None:
+            await asyncio.to_thread(self._online.prepare, self._clock.now().monotonic_s)
 
     async def _take(self, item: Message) -> None:
         if isinstance(item, TemperatureCycle):
@@ -270,7 +277,8 @@ class ThermalTask:
         for each in filter(None, (online, self._next)):
             each.on_sample(now_s, inputs, speed_rpm)
         self._heard |= np.isfinite(degc)
-        if reference is None or self._waits_for_sensors(online, reference, now_s):
+        taken_up = now_s - self._taken_up_s <= self._cleansing.stale_after_s
+        if reference is None or (taken_up and self._since.waits_for_sensors(reference, online.places, self._heard)):
             return None
         if (answer := online.estimate(reference, now_s, inputs, self._since.absent)) is None:
             return None
@@ -278,10 +286,9 @@ class ThermalTask:
         if counted is not reference:
             self._reference = counted
             self._deliver(ReferenceRebased(reference=counted))
-        reference, model = counted, online.model
-        level_k, tool_um_per_k = self._cleansing.levels.uncertainty_k, self._tool_um_per_k
-        unsure = self._cleansing.withheld(degc, outcome.confidence) or self._since.wrong_in_tool(degc, tool_um_per_k)
-        unsure = unsure or _unsure(outcome, online, level_k, tool_um_per_k, self._sensor_ids)
+        reference, model, um_per_k = counted, online.model, self._tool_um_per_k
+        unsure = self._cleansing.withheld(degc, outcome.confidence) or self._since.wrong_in_tool(degc, um_per_k)
+        unsure = unsure or _unsure(outcome, online, self._cleansing.levels.uncertainty_k, um_per_k, self._sensor_ids)
         of_positions, untrusted = self._positions.trust(model, clock_s, outcome.imputed)
         unsure, confidence = unsure or untrusted, outcome.confidence * of_positions
         followed = not unsure and outcome.in_domain and confidence >= self._cleansing.least
@@ -296,7 +303,7 @@ class ThermalTask:
             in_domain=outcome.in_domain,
             confidence=0.0 if unsure else confidence,
             imputed=tuple(outcome.imputed),
-            fading_um=self._since.fading_um(model.channels, now_s / 60.0, self._tool_um_per_k),
+            fading_um=self._since.fading_um(model.channels, now_s / 60.0, um_per_k),
             found_wrong_um=self._since.found_wrong_um,
             inhibit=self.inhibit() or unsure,
             held_s=self._cleansing.held_s(degc, now_s, set(outcome.imputed)),
@@ -311,13 +318,6 @@ class ThermalTask:
         """Tell the control task, which keeps it with the reference, when anything has changed."""
         if (changed := self._since.changed()) is not None:
             self._deliver(changed)
-
-    def _waits_for_sensors(self, online: ModelInUse, reference: Reference, now_s: float) -> bool:
-        """Whether sensors that counted before a restart have had no value yet: none of them has left for that."""
-        if now_s - self._taken_up_s > self._cleansing.stale_after_s:
-            return False
-        needed = np.isin(np.arange(len(self._heard)), np.concatenate([*self._labels.values(), online.places]))
-        return bool((needed & np.isfinite(reference.degc) & ~self._since.absent & ~self._heard).any())
 
     def _set_reference(self, request: ReferenceRequest) -> None:
         now = self._clock.now()

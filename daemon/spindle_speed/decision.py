@@ -36,7 +36,25 @@ class OperationState:
     """Latest dynamics that could be followed [s]."""
     moved: bool = False
     """It has changed: not again before the NC has taken that, and has cut with it."""
+    origin: SpeedTuningMemory | None = None
+    """From what it has changed, until the NC takes that: a change that has grown old meanwhile is decided anew."""
     alarm: str = ""
+
+    @property
+    def lasting(self) -> tuple[SpeedTuningMemory, bool]:
+        """The memory that counts when the operation comes again, and whether the NC has yet to cut with it."""
+        return (self.memory, self.moved) if self.origin is None else (self.origin, False)
+
+    def seen(self, taken_rpm: float, phase: Phase) -> "OperationState":
+        """Return where the operation stands when the NC has taken this speed for it [1/min]."""
+        if not self.moved:
+            return self
+        if taken_rpm == float(round(self.memory.commanded_rpm)):
+            return replace(self, moved=phase is not Phase.CUTTING, origin=None)
+        if self.origin is None or taken_rpm == float(round(self.origin.commanded_rpm)):
+            return self
+        # the NC was quicker than a change that was decided anew: what it has taken is what counts
+        return replace(self, memory=replace(self.memory, commanded_rpm=taken_rpm), origin=None)
 
 
 class SpeedDecision:
@@ -67,6 +85,10 @@ class SpeedDecision:
             flagged_span_rpm=plan.flagged_span_rpm if plan is not None else 0.0,
         )
         command, memory = step(before.memory, inputs, self._settings)
+        moved, origin = before.moved or command.write, before.memory if command.write else before.origin
+        if at_safe_block and command.due and before.origin is not None:
+            command, memory = step(before.origin, replace(inputs, phase=phase), self._settings)
+            moved, origin = command.write, before.origin if command.write else None
         if operation.wanted and planned is None:  # it is not known yet how far the target is off: that stays noted
             memory = replace(memory, off_since_s=before.memory.off_since_s)
         known_s = now_s if plan is not None else before.known_s
@@ -74,12 +96,15 @@ class SpeedDecision:
         if outdated and operation.wanted and math.isfinite(known_s):
             problem = f"{problem}; that has been so for an hour, so the programmed speed is taken"
             command = replace(command, reason="no valid dynamics for an hour; the programmed speed")
+        if outgrown := phase is Phase.IDLE and command.due:
+            memory, moved, origin = origin or memory, False, None
         return OperationState(
             memory=memory,
             command=command,
-            decided=not outdated and (before.decided or (at_safe_block and plan is not None)),
+            decided=not (outdated or outgrown) and (before.decided or (at_safe_block and plan is not None)),
             known_s=known_s,
-            moved=before.moved or command.write,
+            moved=moved,
+            origin=origin,
             alarm=(command.alarm if operation.wanted else None) or problem,
         )
 
@@ -91,7 +116,7 @@ class SpeedDecision:
         if planned is None or planned.called != operation.called:
             return None, "no dynamics for this operation yet"
         if now_s - planned.time_s > self._tuning.stale_after_s:
-            return planned, f"the latest temperatures are {now_s - planned.time_s:.0f} s old; the speed is frozen"
+            return planned, f"no temperatures for {self._tuning.stale_after_s:g} s; the speed is frozen"
         if planned.problem:
             return planned, planned.problem
         try:

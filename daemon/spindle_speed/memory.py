@@ -45,7 +45,7 @@ class OperationMemories:
         since_s = kept.off_since_s if math.isfinite(kept.off_since_s) else kept.last_s
         return replace(kept, target_rpm=math.nan, off_since_s=since_s), moved
 
-    def keep(self, operation: SpeedOperation, memory: SpeedTuningMemory, *, moved: bool) -> None:
+    def keep(self, operation: SpeedOperation, memory: SpeedTuningMemory, moved: bool) -> None:
         """Keep what an operation has come to, and whether the NC has yet to take that."""
         key = _key(operation)
         before = self._kept.pop(key, None)

@@ -23,6 +23,7 @@ from daemon.spindle_speed.snapshot import speed_snapshot
 from daemon.spindle_speed.writer import SpeedWriteError, SpeedWriter
 from drivers.clock import Clock
 from drivers.contract import FatalDriverError
+from drivers.guard.speed_text import SpeedStatus
 from models.records import CncSample, Phase
 from models.spindle_speed.tuning import (
     SpeedState,
@@ -144,7 +145,7 @@ class Follower:
 
     def _put_away(self, operation: SpeedOperation | None) -> None:
         if operation is not None and self._operation_state is not None:
-            self._memories.keep(operation, self._operation_state.memory, moved=self._operation_state.moved)
+            self._memories.keep(operation, *self._operation_state.lasting)
         self._operation_state = None
 
     def _begun(self, operation: SpeedOperation, now_s: float) -> OperationState:
@@ -154,8 +155,9 @@ class Follower:
         pair = self.writer.pair
         ours = pair.made_for == operation.made_for and lowest_rpm <= pair.speed_rpm <= highest_rpm
         if ours and self.writer.valid(now_s):  # this run of the daemon began within the operation: it goes on
-            memory = replace(memory, commanded_rpm=pair.speed_rpm, begun=True)
-            return OperationState(memory=memory, decided=True, known_s=now_s, moved=True)
+            kept, memory = memory, replace(memory, commanded_rpm=pair.speed_rpm, begun=True)
+            origin = None if moved else kept
+            return OperationState(memory=memory, decided=True, known_s=now_s, moved=True, origin=origin)
         return OperationState(memory=memory, moved=moved)
 
     def _range_rpm(self, operation: SpeedOperation) -> tuple[float, float]:
@@ -179,15 +181,15 @@ class Follower:
         if self._operation_state is None:
             self._operation_state = self._begun(operation, now_s)
         before = self._operation_state
-        if before.moved and phase is Phase.CUTTING and self._taken(before, operation):
-            before = replace(before, moved=False)
+        if (taken_rpm := self._taken_rpm(before, operation)) is not None:
+            before = before.seen(taken_rpm, phase)
         state = before if self._calls.waiting else self._decision.decide(before, operation, now_s, phase)
         if not await self._write(session, self._decision.pair(state, operation), operation, clock_s, now_s):
             return
         self._operation_state = state
         if state is not before:
             self._report(before, state)
-        self._memories.keep(operation, state.memory, moved=state.moved)
+        self._memories.keep(operation, *state.lasting)
 
     @property
     def _withheld(self) -> str:
@@ -208,24 +210,21 @@ class Follower:
             return False
         return True
 
-    def _taken(self, state: OperationState, operation: SpeedOperation) -> bool:
-        """Whether the NC has taken for this operation what is commanded, from the block or as programmed."""
+    def _taken_rpm(self, state: OperationState, operation: SpeedOperation) -> float | None:
+        """Return what the NC has taken for this operation [1/min]: of the block, or what is commanded as programmed."""
         applied_rpm = self._block.applied_rpm(self._found)
-        return (
-            not self._calls.waiting
-            and self._block.made_for(self._found) == operation.made_for
-            and applied_rpm == float(round(state.memory.commanded_rpm))
-        )
+        if self._calls.waiting or self._block.made_for(self._found) != operation.made_for:
+            return None
+        of_block = self._block.status(self._found) == SpeedStatus.APPLIED
+        return applied_rpm if of_block or applied_rpm == float(round(state.memory.commanded_rpm)) else None
 
     def _report(self, before: OperationState, now: OperationState) -> None:
         """Record what has reached the CNC."""
         command = now.command
-        if command is not None and command.write:
+        from_rpm, to_rpm = before.memory.commanded_rpm, now.memory.commanded_rpm
+        if command is not None and from_rpm != to_rpm:
             word = "jumps" if command.jump else "moves"
-            self._journal.say(
-                "speed",
-                f"{word} from {before.memory.commanded_rpm:.0f} to {command.speed_rpm:.0f} 1/min: {command.reason}",
-            )
+            self._journal.say("speed", f"{word} from {from_rpm:.0f} to {to_rpm:.0f} 1/min: {command.reason}")
         if now.alarm and now.alarm != before.alarm:
             self._journal.say("alarm", f"spindle speed: {now.alarm}")
 
