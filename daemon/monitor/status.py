@@ -99,6 +99,7 @@ class StatusBoard:
                 "baseline_um": control.baseline_um[i],
                 "slew_um_per_min": control.slew_um_per_min[i],
                 **self._configuration.compensation.unit_of(axis),
+                **self._configuration.compensation.pivot_of(axis),
             }
             for i, axis in enumerate(control.axes)
         }

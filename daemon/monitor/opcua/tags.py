@@ -91,11 +91,13 @@ class Tags:
                 )
         yield
         for axis_name, axis in self._configuration.compensation.axes.items():
+            pivot = self._configuration.compensation.pivot_of(axis_name)
+            at = f", at {pivot['pivot_mm']:g} mm, its slope's pivot" if pivot else ""
             kind, unit = ("offset of axis", "µm") if axis.slope is None else ("slope", "µm/m")
             axis_folder = self._folder(f"compensation.{axis_name}", f"{kind} {axis_name}")
             for value, words in AXIS_VALUES.items():
                 name = f"compensation.{axis_name}.{value}"
-                meaning = words if axis.slope is None else words.replace("offset", "slope")
+                meaning = words + at if axis.slope is None else words.replace("offset", "slope")
                 self._values[name] = self._number(name, axis_folder, unit, meaning)
             for value, words in (("wanted", "a person switched it on"), ("enabled", "its enable bit is set")):
                 name = f"compensation.{axis_name}.{value}"

@@ -10,7 +10,7 @@ from starlette.responses import JSONResponse, Response
 from daemon.history.reader import HistoryReader
 from daemon.monitor.web import schemas
 from daemon.monitor.web.access import Viewer
-from daemon.monitor.web.estimate import displacements_around, estimate_document
+from daemon.monitor.web.estimate import AROUND_S, displacements_around, estimate_document, positions_around
 from daemon.monitor.web.pages import takes_gzip
 from daemon.monitor.web.problems import Problem, ProblemError
 from daemon.monitor.web.recorded import Recorded, encoded
@@ -24,8 +24,6 @@ MOST_NAMES = 32
 MOST_POINTS = 4000
 MOST_WRITES = 1000
 DAY_S = 86400.0
-AROUND_S = 30.0
-"""Displacements are means over so long before and after [s]."""
 
 From = Annotated[
     float | None, Query(alias="from", ge=0, le=LATEST_UTC_S, description="UTC [s]; none: an hour before `to`")
@@ -173,16 +171,17 @@ async def estimate(request: Request, person: Viewer) -> Response:
     parts = request.app.state.parts
     now_s, reference = parts.clock.now().utc_s, parts.board.control.reference
 
-    def ask(reader: HistoryReader, go_on: object) -> tuple[list[dict[str, Any]], dict[str, float], dict[str, float]]:
+    def ask(reader: HistoryReader, go_on: object) -> tuple[list[dict[str, Any]], list[dict[str, float]]]:
         marks = [
             {"id": each.reference_id, "time": each.time.utc_s, "source": each.source}
             for each in reader.references(now_s - DAY_S, now_s + 1.0)
         ]
         if reference is None:
-            return marks, {}, {}
-        then_um = displacements_around(reader, reference.time.utc_s, AROUND_S)
-        return marks, then_um, displacements_around(reader, now_s - AROUND_S, AROUND_S)
+            return marks, [{}, {}]
+        moments = (reference.time.utc_s, now_s - AROUND_S)
+        um = [displacements_around(reader, time_s, AROUND_S) for time_s in moments]
+        return marks, um + [positions_around(parts.configuration, reader, time_s, AROUND_S) for time_s in moments]
 
-    marks, then_um, now_um = await recorded_of(request).query(ask)
-    document = estimate_document(parts.configuration, parts.board, then_um, now_um)
+    marks, measured = await recorded_of(request).query(ask)
+    document = estimate_document(parts.configuration, parts.board, *measured)
     return JSONResponse(document | {"references": marks})

@@ -111,6 +111,7 @@ class Documents:
                 "confidence": estimate.confidence if estimate is not None and channel else None,
                 "limits_hit": [hit.partition(":")[2] for hit in control.limits_hit if hit.startswith(f"{axis}:")],
                 **self._configuration.compensation.unit_of(axis),
+                **self._configuration.compensation.pivot_of(axis),
             }
         return axes
 

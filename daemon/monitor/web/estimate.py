@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -9,19 +10,35 @@ import numpy as np
 from config.schema import Configuration
 from daemon.history.reader import HistoryReader
 from daemon.snapshots import Contributions, ControlSnapshot, SnapshotBoard
+from drivers.guard.sloped_axes import SAME_PLACE_MM, SlopedAxis, added_um, sloped_axes
 from models.json_values import plain
+from models.records import ThermalErrorEstimate
+
+AROUND_S = 30.0
+"""What is measured at an instant is the mean so long before and after it [s]."""
+STOOD_MM = 1.0
+"""An axis that moves by more while something is measured is nowhere [mm]."""
+Measured = Mapping[str, float]
 
 
 def estimate_document(
-    configuration: Configuration, board: SnapshotBoard, then_um: Mapping[str, float], now_um: Mapping[str, float]
+    configuration: Configuration,
+    board: SnapshotBoard,
+    then_um: Measured,
+    now_um: Measured,
+    then_mm: Measured = MappingProxyType({}),
+    now_mm: Measured = MappingProxyType({}),
 ) -> dict[str, Any]:
-    """Return the estimate now, channel by channel; displacements at the reference and now [um] by channel."""
+    """Return the estimate now, channel by channel; displacements at the reference and now [um] by channel.
+
+    `then_mm`, `now_mm`: where axes with a slope stood meanwhile, by axis: what is measured there is judged there.
+    """
     estimate = board.thermal.estimate
     if estimate is None:
         why = (board.model.problem if board.model is not None else "") or "no estimate has been made yet"
         unknown: dict[str, Any] = dict.fromkeys(("time", "model_id", "reference", "confidence", "in_domain"))
         return unknown | {"imputed": [], "channels": {}, "why": why}
-    axes = configuration.compensation.axes
+    axes, sloped = configuration.compensation.axes, sloped_axes(configuration)
     channels = {}
     for i, channel in enumerate(estimate.channels):
         own = [name for name, axis in axes.items() if axis.estimate == channel]
@@ -29,11 +46,19 @@ def estimate_document(
         measured_um = math.nan
         if channel in then_um and channel in now_um:
             measured_um = now_um[channel] - then_um[channel] - _applied_since_um(board.control, own)
+        there: dict[str, Any] = {}
+        if own and (one := sloped.get(own[0])) is not None:
+            stood = then_mm.get(one.axis, math.nan), now_mm.get(one.axis, math.nan)
+            there, said_um, applied_um = _there(configuration, board, one, estimate, stood)
+            measured_um, estimated_um = measured_um - applied_um, estimated_um + said_um
+            if channel not in then_um or channel not in now_um:
+                there["not_judged"] = ""  # nothing was measured
         channels[channel] = {
-            "thermal_error_um": estimated_um,
+            "thermal_error_um": float(estimate.thermal_error_um[i]),
             "band_um": float(estimate.band_um[i]),
             "measured_um": measured_um,
             "residual_um": measured_um - estimated_um,
+            **there,
             "axes": own,
             **({"unit": "um/m"} if channel in configuration.compensation.slope_channels else {}),
             "contributions": _contributions(configuration, board.thermal.contributions, channel),
@@ -52,6 +77,40 @@ def estimate_document(
     )
     assert isinstance(document, dict)
     return document
+
+
+def _there(
+    configuration: Configuration,
+    board: SnapshotBoard,
+    one: SlopedAxis,
+    estimate: ThermalErrorEstimate,
+    stood_mm: tuple[float, float],
+) -> tuple[dict[str, Any], float, float]:
+    """Return what is told of where an axis with a slope stands, and what that adds to estimate and compensation [um].
+
+    NaN where nobody knows; `stood_mm`: where it stood at the reference, and where it stands now.
+    """
+    channel, now_mm = configuration.compensation.axes[one.slope].estimate, stood_mm[1]
+    known = channel in estimate.channels
+    per_m = float(estimate.thermal_error_um[estimate.channels.index(channel)]) if known and channel else 0.0
+    applied_per_m = _applied_since_um(board.control, [one.slope])
+    along_m = one.along_m(now_mm)
+    said_um = float(added_um(per_m, along_m))
+    applied_um = float(added_um(applied_per_m, along_m if one.follows else math.nan))
+    why = "" if math.isfinite(said_um + applied_um) else one.why_unknown(applied_per_m)
+    if math.inf in stood_mm:
+        why = (
+            f"axis {one.axis} moved within {AROUND_S:g} s of the reference or of now: let it stand while it is measured"
+        )
+    if not why and math.isnan(stood_mm[0]) != math.isnan(now_mm):
+        why = one.silent
+    if not why and abs(now_mm - stood_mm[0]) > SAME_PLACE_MM:
+        why = (
+            f"axis {one.axis} stood at {stood_mm[0]:.0f} mm at the reference and stands at {now_mm:.0f} mm now, and "
+            "how the machine errs along it when cold is not known"
+        )
+    told = {"pivot_mm": one.pivot_mm, "position_mm": now_mm, "not_judged": why}
+    return told, said_um, math.nan if why else applied_um
 
 
 def _applied_since_um(control: ControlSnapshot, axes: list[str]) -> float:
@@ -80,6 +139,21 @@ def _contributions(
         for i in np.argsort(-np.abs(um), kind="stable").tolist()
         if (sensor_id := found.sensor_ids[i]) in sensors
     ]
+
+
+def positions_around(
+    configuration: Configuration, reader: HistoryReader, time_s: float, within_s: float
+) -> dict[str, float]:
+    """Return where each axis with a slope stood around a time [mm]: infinite where it moved, none where nobody says."""
+    if not (sloped := sloped_axes(configuration)):
+        return {}
+    found, stood = reader.cnc(time_s - within_s, time_s + within_s).positions_mm, {}
+    for name, one in sloped.items():
+        mm = found.get(one.position or "", np.empty(0))
+        mm = mm[np.isfinite(mm)]
+        if mm.size:
+            stood[name] = float(mm.mean()) if np.ptp(mm) <= STOOD_MM else math.inf
+    return stood
 
 
 def displacements_around(reader: HistoryReader, time_s: float, within_s: float) -> dict[str, float]:

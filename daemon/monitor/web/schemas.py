@@ -15,7 +15,7 @@ Utc = Annotated[float, Field(description="UTC [s since 1970]")]
 class Document(BaseModel):
     """An answer; it names every key that it may hold."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", defer_build=True)
 
 
 class Delays(Document):
@@ -49,6 +49,9 @@ class AxisStatus(Document):
     confidence: float | None = Field(description="how far the estimate may be followed, 0 to 1")
     limits_hit: list[str] = Field(description="limits that act now: bound, slew, step")
     unit: str | None = Field(None, description="um/m where this is a slope along an axis; else left out, and um")
+    pivot_mm: float | None = Field(
+        None, description="of an axis with a slope: its numbers hold there, elsewhere the slope comes on top"
+    )
 
 
 class ReferenceStatus(Document):
@@ -239,6 +242,11 @@ class ChannelEstimate(Document):
     band_um: float | None
     measured_um: float | None = Field(description="measured since the reference, where the machine measures it")
     residual_um: float | None = Field(description="measured minus estimated")
+    pivot_mm: float | None = Field(
+        None, description="of an axis with a slope: where thermal_error_um holds; measured and residual: at position_mm"
+    )
+    position_mm: float | None = Field(None, description="of an axis with a slope: where it stands, null: not known")
+    not_judged: str | None = Field(None, description="of an axis with a slope: why measured and residual are null")
     axes: list[str]
     unit: str | None = Field(None, description="um/m where this is a slope along an axis; else left out, and um")
     contributions: list[Contribution] | None = Field(

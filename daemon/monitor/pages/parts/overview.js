@@ -145,7 +145,7 @@ function axes(status) {
   const rows = Object.entries(status.axes).map(([name, axis]) => {
     const tag = axis.channel === null ? h("span", { class: "dim" }, "no model") : axis.enabled ? h("span", { class: "tag good" }, "on")
       : h("span", { class: "tag" }, axis.wanted ? "waits" : "off");
-    const cells = [h("span", {}, h("span", { class: "name" }, name.toUpperCase()), axis.unit ? ` ${per(axis)} ` : " ", tag), signed(axis.estimated_um), signed(axis.requested_um), signed(axis.written_um),
+    const cells = [h("span", {}, h("span", { class: "name" }, name.toUpperCase()), axis.unit ? ` ${per(axis)} ` : typeof axis.pivot_mm !== "number" ? " " : ` at ${number(axis.pivot_mm, 0)} mm `, tag), signed(axis.estimated_um), signed(axis.requested_um), signed(axis.written_um),
       h("span", { class: "main" }, signed(axis.applied_um)), axis.band_um === null ? NONE : `± ${number(axis.band_um)}`, `± ${number(axis.bound_um, 0)}`,
       axis.channel === null ? h("span", { class: "dim" }, "no channel of the model is named for this axis") : gauge(name, axis)];
     return h("tr", { id: `axis-${name}` }, cells.map((cell, column) => h("td", { "data-head": head[column][0] }, cell)));
@@ -287,6 +287,7 @@ class ErrorOverShift {
     }
     const axis = status.axes[this.axis];
     this.unit = per(axis);
+    this.where = typeof axis.pivot_mm !== "number" ? "" : `At ${number(axis.pivot_mm, 0)} mm, the pivot of the axis' slope; elsewhere the slope comes on top.`;
     if (axis.estimated_um !== null) this.tail.push([status.time, axis.estimated_um, axis.remaining_um, axis.band_um]);
     if (performance.now() - this.asked_ms > AGAIN_MS) this.load(status);
     else this.draw(status);
@@ -328,6 +329,6 @@ class ErrorOverShift {
     const data = [[...t, ...tail.map((row) => row[0])], [...without, ...tail.map((row) => row[1])], [...remaining, ...tail.map((row) => row[2])]];
     const bands = [...band, ...tail.map((row) => row[3])];
     const shift = (sign) => data[2].map((value, index) => (value === null || value === undefined || bands[index] === null || bands[index] === undefined ? value ?? null : value + sign * bands[index]));
-    this.chart.set([...data, shift(1), shift(-1)], { unit: `thermal error [${this.unit}]`, unit_short: this.unit });
+    this.chart.set([...data, shift(1), shift(-1)], { unit: `thermal error [${this.unit}]`, unit_short: this.unit, note: this.where });
   }
 }

@@ -78,17 +78,18 @@ class ThermalError {
     const first = raw.find((value) => typeof value === "number") ?? 0;
     // the estimate is zero at the reference, so what was measured there is taken off
     const start = since(t, marks, (mark) => (mark === null ? first - (estimated.find((value) => typeof value === "number") ?? 0) : at(t, raw, mark) ?? after(t, raw, mark) ?? first));
-    const measured = each(raw, start, (value, origin) => value - origin);
+    const sloped = typeof estimate.channels[channel].pivot_mm === "number";
+    const measured = sloped ? raw.map((value) => (value === undefined ? undefined : null)) : each(raw, start, (value, origin) => value - origin);
     const filled = bridge(estimated), spread = bridge(band);
     const upper = each(filled, spread, (value, half) => value + half), lower = each(filled, spread, (value, half) => value - half);
     const shown = marks.map((x) => ({ x, words: "reference" }));
     this.error.options.marks = this.rest.options.marks = shown;
     const unit = per(estimate.channels[channel]);
-    await this.error.set([t, estimated, measured, upper, lower], { unit: `thermal error [${unit}]`, unit_short: unit });
+    await this.error.set([t, estimated, measured, upper, lower], { unit: `thermal error [${unit}]`, unit_short: unit, note: sloped ? `Estimated at ${number(estimate.channels[channel].pivot_mm, 0)} mm, the pivot of the slope of axis ${axis.toUpperCase()}. What was measured, where the axis stood, is not drawn: below it is judged there for now, and \`toolpoint model drift\` judges the past.` : "" });
     const bridged = bridge(estimated);
     const residual = measured.map((value, index) => (typeof value === "number" && typeof bridged[index] === "number" ? value - bridged[index] : value === undefined ? undefined : null));
     await this.rest.set([t, residual, spread, spread.map((value) => (typeof value === "number" ? -value : value))], { unit: `residual [${unit}]`, unit_short: unit });
-    if (!raw.some((value) => typeof value === "number")) {
+    if (!sloped && !raw.some((value) => typeof value === "number")) {
       this.rest.note.textContent = "Nothing was measured in this time: the residual needs displacement sensors (section displacements of the configuration). Compensation runs without them.";
     }
   }
@@ -97,7 +98,8 @@ class ThermalError {
     const one = estimate.channels[this.channel];
     put(this.facts, card("Now", estimate.why ? h("p", {}, estimate.why) : h("dl", { class: "facts" },
       h("dt", {}, "estimated"), h("dd", {}, h("b", {}, um(one?.thermal_error_um, one))), h("dt", {}, "band"), h("dd", {}, one?.band_um === null || !one ? NONE : `± ${number(one.band_um)} ${per(one)}`),
-      h("dt", {}, "measured"), h("dd", {}, um(one?.measured_um, one)), h("dt", {}, "residual"), h("dd", {}, um(one?.residual_um, one)),
+      typeof one?.pivot_mm === "number" && [h("dt", {}, "where"), h("dd", {}, `estimated at ${number(one.pivot_mm, 0)} mm, the slope's pivot; measured ${one.position_mm === null ? "nobody knows where" : `at ${number(one.position_mm, 0)} mm, and compared with the estimate there`}`)],
+      h("dt", {}, "measured"), h("dd", {}, one?.not_judged ? `not judged: ${one.not_judged}` : um(one?.measured_um, one)), h("dt", {}, "residual"), h("dd", {}, um(one?.residual_um, one)),
       h("dt", {}, "confidence"), h("dd", {}, estimate.confidence === null ? NONE : `${number(100 * estimate.confidence, 0)} % of the model's weight rests on sensors with a usable value`),
       h("dt", {}, "range"), h("dd", {}, estimate.in_domain === false ? "outside the temperatures of the training: the estimate is not followed" : "within the temperatures of the training"),
       h("dt", {}, "imputed"), h("dd", {}, estimate.imputed.length ? `sensors ${estimate.imputed.join(", ")}` : "no sensor"),
