@@ -1,5 +1,6 @@
 """The demonstration: runs until a given time, counts what arrived and was written, and checks the result."""
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable
@@ -14,6 +15,9 @@ JUDGED_FROM_UM = 5.0
 """An axis whose uncompensated error stays below this is not judged [um]."""
 DRAIN_S = 3.0
 """Wall time that the daemon gets for the last cycles."""
+LEFT_OUT_SHARE = 0.01
+"""Share of the cycles of `temperatures.sources` that may be left out where the clock is fast: two that a busy computer
+brings within half a cycle period make one. The bytes of a line wait, so every cycle of it must arrive."""
 
 
 def too_slow(late_s: float, speed: float, cycle_period_s: float) -> str:
@@ -99,16 +103,27 @@ def result(final: dict[str, Any], status: dict[str, Any], slow: str = "") -> tup
         },
         "error_um": errors,
     }
-    failures = _failures(numbers, status, final)
+    missing = numbers["cycles"]["expected"] - numbers["cycles"]["received"]
+    lost = [] if 0 <= missing <= may_be_left_out(final) else [_not_arrived(numbers["cycles"])]
+    failures = lost + _failures(numbers, status, final)
     unexplained = numbers["cycles"]["incomplete"] and not sum(final["cycles_disturbed"].values())
     return numbers, [slow, *failures] if slow and unexplained else failures
+
+
+def may_be_left_out(final: dict[str, Any]) -> int:
+    """Return how many of a fast simulation's cycles may be left out: those of sources, rounded up."""
+    lines = final["cycles_disturbed"]
+    of_sources: int = sum(sent for name, sent in final["cycles_sent"].items() if name not in lines)
+    return math.ceil(LEFT_OUT_SHARE * of_sources)
+
+
+def _not_arrived(cycles: dict[str, int]) -> str:
+    return f"{cycles['expected']} cycles were sent, {cycles['received']} arrived"
 
 
 def _failures(numbers: dict[str, Any], status: dict[str, Any], final: dict[str, Any]) -> list[str]:
     failures = []
     cycles, writes = numbers["cycles"], numbers["writes"]
-    if cycles["received"] != cycles["expected"]:
-        failures.append(f"{cycles['expected']} cycles were sent, {cycles['received']} arrived")
     if cycles["incomplete"] and not sum(final["cycles_disturbed"].values()):
         failures.append(f"{cycles['incomplete']} cycles are incomplete without a fault that explains them")
     if writes["sent"] == 0:

@@ -16,7 +16,7 @@ from typing import Any
 import yaml
 
 from config.loader import load_configuration
-from config.records.commissioning import CommissionedAxis, CommissioningRecord, macro_map_digest
+from config.records.commissioning import CommissionedAxis, CommissionedSlope, CommissioningRecord, macro_map_digest
 from config.schema import Configuration
 from config.schema.modbus import ModbusConfig
 from config.schema.source_drivers import SourceConfig
@@ -29,10 +29,12 @@ from daemon.workbench.thermal.training import write_model_file
 from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.guard.text import GUARD_VERSION
 from drivers.sim.machine.sensor_places import COMPONENTS
+from drivers.sim.machine.travel import axis_travels
 from drivers.sim.wires.pushed_wires import follows
 from drivers.sim.wires.source_wires import as_simulated, face_of
+from models.recordings.slopes import SLOPE_SUFFIX
 from models.thermal.training.increment_family import IncrementChoices
-from models.thermal.training.recipes import increment_recipe
+from models.thermal.training.recipes import RECIPES, increment_recipe
 from models.thermal.training.train_family import train_family
 
 TRAINING_SEEDS = (1, 2, 3, 4)
@@ -93,12 +95,15 @@ def prepare(path: Path, directory: Path, *, speed: float, http_port: int | None,
         compensation.pop(key, None)
     for name, axis in compensation["axes"].items():
         axis.pop("tool_term", None)
+        if axis.get("slope"):
+            continue
         if axis.get("estimate") and name not in OF_AXIS:
             axis.pop("estimate")
             say(f"axis {name}: the simulated machine has nothing to estimate there")
         elif axis.get("estimate") and axis["estimate"] not in CHANNELS:
             say(f"axis {name}: {axis['estimate']} is the simulated machine's {OF_AXIS[name]}")
             axis["estimate"] = OF_AXIS[name]
+    _follow_slopes(compensation["axes"], say)
     say("reference and safe points are the simulated part program's N100 and N900")
     written, moved = write_simulation_configuration(base, directory, speed=speed, http_port=http_port, driver=driver)
     _commission(moved, directory / "commissioning.json")
@@ -112,6 +117,22 @@ def prepare(path: Path, directory: Path, *, speed: float, http_port: int | None,
     written.write_text(yaml.safe_dump(content, sort_keys=False, width=120), encoding="utf-8")
     load_configuration(written)
     return written
+
+
+def _follow_slopes(axes: dict[str, dict[str, Any]], say: Callable[[str], None]) -> None:
+    """Let slopes follow what the simulated scale of their axis grows."""
+    for name, axis in ((name, axis) for name, axis in axes.items() if axis.get("slope") and axis.get("estimate")):
+        slope = axis["slope"]
+        if (of := axes[slope["of"]].get("estimate")) is None:
+            axis.pop("estimate")
+            say(f"axis {name}: the simulated machine has nothing to estimate along {slope['of']}")
+            continue
+        axis["estimate"] = of + SLOPE_SUFFIX
+        lowest, highest = slope["travel_mm"]
+        say(
+            f"axis {name}: {slope['of']} goes from {lowest:g} to {highest:g} mm, to another place with every cut, and "
+            f"its scale grows; the model tells that as {axis['estimate']}"
+        )
 
 
 def _move_sensors(
@@ -192,6 +213,10 @@ def _common(sensor: SourceSensorConfig) -> dict[str, Any]:
 
 def _commission(configuration: Configuration, path: Path) -> None:
     axis = CommissionedAxis(sign=1, scale=1.0, written_um=10.0, measured_um=10.0)
+    proved = {
+        name: CommissionedSlope(of=slope.of, pivot_mm=slope.pivot_mm, positions_mm=slope.travel_mm)
+        for name, slope in configuration.compensation.slopes.items()
+    }
     record = CommissioningRecord(
         cnc_identity=SIMULATED_CNC_IDENTITY,
         macro_map_sha256=macro_map_digest(configuration.cnc.macros),
@@ -199,22 +224,31 @@ def _commission(configuration: Configuration, path: Path) -> None:
         person="simulation (the simulated machine's sign is known by construction)",
         date=datetime.now(UTC).date().isoformat(),
         machine=configuration.machine,
-        axes=dict.fromkeys(configuration.compensation.axes, axis),
+        axes={name: axis.model_copy(update={"slope": proved.get(name)}) for name in configuration.compensation.axes},
     )
     path.write_text(record.model_dump_json(exclude_none=True), encoding="utf-8")
 
 
 def _train(configuration: Configuration, path: Path) -> None:
     sensors = [as_simulated(sensor) for sensor in configuration.temperatures.every_sensor]
-    programmes = training_programmes()
+    programmes, compensation = training_programmes(), configuration.compensation
+    slopes = {
+        channel: slope.pivot_mm
+        for slope in compensation.slopes.values()
+        if (channel := compensation.axes[slope.of].estimate) is not None
+    }
+    travels = axis_travels(configuration) if slopes else None
     try:
         recordings = [
-            simulated_recording(seed, programmes[place % len(programmes)], sensors, hours=HOURS)
+            simulated_recording(
+                seed, programmes[place % len(programmes)], sensors, hours=HOURS, travels=travels, slopes=slopes
+            )
             for place, seed in enumerate(TRAINING_SEEDS)
         ]
         choices = IncrementChoices(interval_min=INTERVAL_MIN, ridge_k2="auto", split_at_speed_changes=False)
+        recipe = RECIPES["ridge"] if slopes else increment_recipe(choices)  # a slope is told by passes of minutes
         created = datetime.now(UTC).isoformat(timespec="seconds")
-        model = train_family(recordings, increment_recipe(choices), sample_s=60.0, created=created).model
+        model = train_family(recordings, recipe, sample_s=60.0, created=created).model
     except ValueError as error:
         raise SimulationError(f"no model can be trained on these sensors: {error}") from error
     write_model_file(model, path)

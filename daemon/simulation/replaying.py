@@ -3,7 +3,7 @@
 import json
 import re
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
@@ -13,6 +13,7 @@ import numpy as np
 
 from config.recordings.recording_map import ColumnError, RecordingMap, load_recording_map, usual_map
 from config.records.commissioning import macro_map_digest
+from config.schema.base import NAME_PATTERN
 from config.schema.cnc import MacroMapConfig
 from config.schema.temperatures import LONGEST_CHAIN
 from daemon.history.series import EventRecord
@@ -22,10 +23,18 @@ from drivers.files.recording_csv import read_header
 from drivers.sim.machine.recorded import LEAD_IN_S
 from drivers.sim.nc.safe_point import GUARD_VERSION
 from models.cleanse import CleansingRules
+from models.model_file import ModelError
 from models.recordings.dataset import Recording
 from models.records import OutputState
+from models.thermal.family import model_from_json
+from models.thermal.training.inputs import with_sensors
+from models.thermal.training.making import sensor_ids_from_names
 
 MOST_CHANNELS = 20
+POSITION_AXES = "XYZUVW"
+"""Axes of the simulated control that show where the recorded axes stood, in the order of the columns."""
+MARGIN_MM = 1.0
+"""Its axes go so much farther than the recording [mm]."""
 LONGEST_CYCLE_S = 15.0
 """Recordings with longer steps are played at this period [s]: a reference is the mean of a minute, and with a cycle a
 minute it may find none, so that the output would never follow."""
@@ -34,6 +43,15 @@ WHOLE_SHARE = 0.9
 LEAST_SHARE = 0.5
 """... and one that is for less than this did not follow: the replay ends with 1."""
 LINE = "recording"
+NOT_POSITIONED = "has not passed its positioning"
+OF_THE_WIRES = ("no link to the CNC", "could not be polled", NOT_POSITIONED, "echo is vacant")
+"""What keeps the output from following though the simulated wires are whole: a computer too busy for the speed."""
+NEAR_ZERO = (
+    "; where that does not help and the temperatures are near 0 degC, as rises since the start are: they cannot be "
+    "played, because a node that sends 0.0 degC is taken for one that was reset, and no reference is set with it"
+)
+"""What else keeps a reference from being set in a replay: values that the simulated nodes cannot send."""
+OF_THE_MODEL = ("confidence", "outside the range")
 FAST_MARGIN = 1.5
 """A change within a cycle may be so many times the fastest of the recording."""
 MOST_CHANGE_K = 5.0
@@ -54,19 +72,80 @@ def map_of(recording: Path, map_path: Path | None) -> RecordingMap:
         raise ValueError(f"{recording}: {error}") from error
 
 
-def check_model(path: Path, recording: Recording) -> None:
-    """Raise ValueError, saying why, for a model that cannot be read or was not made for these columns."""
-    names = recording.temperature_names
-    if recording.axis_positions:
-        raise ValueError(f"{recording.name}: a replay plays no axis positions; take axis_positions out of the map")
-    model, inhibit = read_model(path, range(1, len(names) + 1), recording.displacement_names)
+def sensor_names(recording: Recording) -> dict[int, str]:
+    """Return the columns of a recording's temperatures by the ID that training gave them."""
+    names = recording.temperature_names[: recording.sensors]
+    return dict(zip(sensor_ids_from_names(names), names, strict=True))
+
+
+def modelled(path: Path, recording: Recording) -> Recording:
+    """Return the recording with the channels that a model estimates, and the axis positions that it needs.
+
+    Slopes along an axis [um/m] are left out: nothing measures one. Raises ValueError, saying why, for a model that
+    cannot be read or was not made for these columns.
+    """
+    names = sensor_names(recording)
+    needed = _positions_that_are_there(path, recording)
+    model, inhibit = read_model(path, names, (), needed)
     if model is None:
         raise ValueError(inhibit)
-    for sensor_id, name in zip(model.sensor_ids, model.sensor_names, strict=True):
-        if name != names[sensor_id - 1]:
-            raise ValueError(
-                f"{path}: sensor {sensor_id} of the model is {name}, of the recording {names[sensor_id - 1]}"
-            )
+    of_temperatures = len(model.sensor_ids) - len(needed)
+    for sensor_id, name in zip(model.sensor_ids[:of_temperatures], model.sensor_names, strict=False):
+        if name != names[sensor_id]:
+            raise ValueError(f"{path}: sensor {sensor_id} of the model is {name}, of the recording {names[sensor_id]}")
+    estimated = set(model.channels) - set(model.pivots_mm)
+    channels = tuple(name for name in recording.displacement_names if name in estimated)
+    if not channels:
+        raise ValueError(
+            f"{path}: the model estimates {', '.join(model.channels)}, and the recording has "
+            f"{', '.join(recording.displacement_names)}; give a recording of a channel that it estimates"
+        )
+    return with_sensors(recording.with_channels(channels), [*names.values(), *needed])
+
+
+def _positions_that_are_there(path: Path, recording: Recording) -> tuple[str, ...]:
+    """Return the axis positions that a model needs; raises ValueError where the recording cannot play one."""
+    try:
+        needed = model_from_json(path.read_bytes(), str(path)).axis_positions
+    except (OSError, ModelError):
+        return ()  # which `read_model` puts into words
+    if lacking := [name for name in needed if name not in recording.axis_positions]:
+        raise ValueError(
+            f"{path}: the model needs the axis position {lacking[0]}, and the recording has "
+            f"{', '.join(recording.axis_positions) or 'none'}: name its column under axis_positions in the map (--map)"
+        )
+    if len(needed) > len(POSITION_AXES):
+        raise ValueError(f"a replay plays at most {len(POSITION_AXES)} axis positions, the model needs {len(needed)}")
+    if strange := [name for name in needed if re.fullmatch(NAME_PATTERN, name) is None]:
+        raise ValueError(
+            f"{path}: no key of cnc.axis_positions may be called {strange[0]!r}: give the column a name of letters, "
+            "digits and _, and train the model again"
+        )
+    return needed
+
+
+def position_axes(names: Sequence[str]) -> dict[str, str]:
+    """Return the axis of the simulated control that shows each position."""
+    return dict(zip(names, POSITION_AXES, strict=False))
+
+
+def played_positions(recording: Recording) -> dict[str, dict[str, Any]]:
+    """Return as which axis each position of a recording is played, and for which share of its rows it is known."""
+    known = np.isfinite(recording.temperatures_degc[:, recording.sensors :]).mean(axis=0).tolist()
+    axes = position_axes(recording.axis_positions).items()
+    return {name: {"axis": axis, "known": share} for (name, axis), share in zip(axes, known, strict=True)}
+
+
+def _axis_positions(recording: Recording) -> dict[str, dict[str, Any]]:
+    """Return the section of the positions: no recording tells how fast an axis is, so that none of them is a slip."""
+    found = {}
+    for place, (name, letter) in enumerate(position_axes(recording.axis_positions).items(), start=1):
+        mm = recording.temperatures_degc[:, recording.sensors + place - 1]
+        known = mm[np.isfinite(mm)] if np.isfinite(mm).any() else np.zeros(1)
+        travel_mm = [float(known.min()) - MARGIN_MM, float(known.max()) + MARGIN_MM]
+        fastest = 60.0 * (travel_mm[1] - travel_mm[0])
+        found[name] = {"axis": letter, "number": place, "travel_mm": travel_mm, "rapid_mm_per_min": fastest}
+    return found
 
 
 def playing_time_s(recording: Recording) -> float:
@@ -101,13 +180,35 @@ class Following:
             "figures with compensation are of a loop that stood still in between"
         )
 
+    def advice(self, speed: float) -> str:
+        """Return what to do where the output did not follow all the time, '' where nothing is known to help.
+
+        `speed`: at which it was played [simulated s per s].
+        """
+        if not self.warning:
+            return ""
+        if any(words in self.why for words in OF_THE_WIRES):
+            again = (
+                f"nothing in the recording does that: this computer is too busy to play it at --speed {speed:g}; "
+                f"play it again at --speed {max(speed / 4.0, 1.0):g}"
+            )
+            return f"{again}{NEAR_ZERO}" if NOT_POSITIONED in self.why else again
+        if any(words in self.why for words in OF_THE_MODEL):
+            return (
+                "what was played goes where training did not, or begins without its past: record 2 runs like it and "
+                "train on them too, or begin some hours earlier (--from-hours)"
+            )
+        if "sensor " in self.why:
+            return "look at that sensor in the recording, and leave its fields empty where it is wrong"
+        return ""
+
 
 def following(
-    events: Sequence[EventRecord], from_utc_s: float, to_utc_s: float, names: Sequence[str] = ()
+    events: Sequence[EventRecord], from_utc_s: float, to_utc_s: float, names: Mapping[int, str] | None = None
 ) -> Following:
     """Return for how much of a span of time the output was in each state, from the history's changes of state.
 
-    `names`: columns of the recording's temperatures, which are said beside `sensor 1` and so on.
+    `names`: columns of the recording's temperatures by sensor, which are said beside `sensor 1` and so on.
     """
     state, why, at_s = OutputState.OFF.value, "it was not switched on", from_utc_s
     spent_s: defaultdict[str, float] = defaultdict(float)
@@ -132,14 +233,14 @@ def following(
     whole_s = max(to_utc_s - from_utc_s, 1e-9)
     states = {name: seconds / whole_s for name, seconds in spent_s.items() if seconds > 0.0}
     longest = max(reasons_s, key=lambda reason: reasons_s[reason]) if sum(reasons_s.values()) > 0.0 else ""
-    why = re.sub(r"\bsensor (\d+)", lambda found: _named(found, names), longest)
+    why = re.sub(r"\bsensor (\d+)", lambda found: _named(found, names or {}), longest)
     return Following(active_share=states.get(OutputState.ACTIVE.value, 0.0), states=states, why=why)
 
 
-def _named(sensor: "re.Match[str]", names: Sequence[str]) -> str:
+def _named(sensor: "re.Match[str]", names: Mapping[int, str]) -> str:
     """Return `sensor 6 (T6)`; as it is where the recording has no such column."""
-    number = int(sensor[1])
-    return f"{sensor[0]} ({names[number - 1]})" if 1 <= number <= len(names) else sensor[0]
+    name = names.get(int(sensor[1]))
+    return sensor[0] if name is None else f"{sensor[0]} ({name})"
 
 
 def replay_machine(recording: Recording, model_file: Path, record_file: Path) -> dict[str, Any]:
@@ -153,8 +254,7 @@ def replay_machine(recording: Recording, model_file: Path, record_file: Path) ->
     period_s = float(np.median(np.diff(recording.time_s)))
     cycle_s = min(period_s, LONGEST_CYCLE_S)
     sensors = [
-        {"id": number, "component": "recording", "part": name}
-        for number, name in enumerate(recording.temperature_names, start=1)
+        {"id": number, "component": "recording", "part": name} for number, name in sensor_names(recording).items()
     ]
     macros = _macro_map(tuple(axes))
     record_file.write_text(json.dumps(_commissioning(macros)), encoding="utf-8")
@@ -167,9 +267,9 @@ def replay_machine(recording: Recording, model_file: Path, record_file: Path) ->
                     "port": "",
                     "baud": 115200,
                     "cycle_period_s": cycle_s,
-                    "chain": [f"{part[0]}-{part[-1]}"],
+                    "chain": [f"{part[0]}-{part[-1]}"] if part == list(range(part[0], part[-1] + 1)) else part,
                 }
-                for name, part in _lines(len(sensors)).items()
+                for name, part in _lines(list(sensor_names(recording))).items()
             ],
             "sensors": sensors,
             "cleansing": {
@@ -181,7 +281,7 @@ def replay_machine(recording: Recording, model_file: Path, record_file: Path) ->
             "file": {"path": ""},
             "channels": [{"name": channel, "column": axis} for axis, channel in axes.items()],
         },
-        "cnc": {"macros": macros, "guard": _guard(tuple(axes))},
+        "cnc": {"macros": macros, "guard": _guard(tuple(axes)), "axis_positions": _axis_positions(recording)},
         "compensation": {
             "model_file": str(model_file.resolve()),
             "commissioning_file": str(record_file),
@@ -216,10 +316,10 @@ def allowed_change_k(recording: Recording, cycle_s: float) -> tuple[float, str]:
     )
 
 
-def _lines(sensors: int) -> dict[str, list[int]]:
+def _lines(sensor_ids: Sequence[int]) -> dict[str, list[int]]:
     """Return the sensors of each line, as few lines as can carry them."""
-    lines = -(-sensors // LONGEST_CHAIN)
-    parts = np.array_split(np.arange(1, sensors + 1), lines)
+    lines = -(-len(sensor_ids) // LONGEST_CHAIN)
+    parts = np.array_split(np.array(sensor_ids), lines)
     return {LINE if n == 1 else f"{LINE}_{n}": part.tolist() for n, part in enumerate(parts, start=1)}
 
 

@@ -6,7 +6,7 @@ of the part programme of the demo. Interval and penalty are chosen by leaving wh
 """
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,6 +21,7 @@ from daemon.simulation.simulation import DEMO_SEED
 from daemon.workbench.thermal.training import write_model_file
 from drivers.sim.machine.day import Day
 from drivers.sim.machine.recording import record
+from drivers.sim.machine.travel import SHARES, STAY_S, AxisTravel
 from drivers.sim.nc.program import (
     PartProgram,
     alternating_program,
@@ -30,6 +31,7 @@ from drivers.sim.nc.program import (
     switching_program,
 )
 from models.recordings.dataset import Recording
+from models.recordings.slopes import SLOPE_SUFFIX, offset_and_slope
 from models.thermal.estimation import Machine, OnlineReference
 from models.thermal.family import ThermalModel
 from models.thermal.training.evaluation import ResidualMetrics, residual_metrics
@@ -45,6 +47,8 @@ UNSEEN_SEEDS = tuple(range(101, 109))
 INTERVALS_MIN = (1.0, 5.0, 10.0, 20.0, 30.0, 60.0)
 HOURS = 10.0
 UNSEEN_HOURS = 6.0
+PASS_S = STAY_S * len(SHARES)
+"""An axis comes to all its places and back in this time [s]."""
 MODEL_NAME = "simulated_machine_model.json"
 
 assert DEMO_SEED not in {*TRAINING_SEEDS, *UNSEEN_SEEDS}
@@ -69,19 +73,40 @@ def training_programmes() -> tuple[PartProgram, ...]:
     )
 
 
-def simulated_recording(seed: int, program: PartProgram, sensors: Sequence[SensorConfig], *, hours: float) -> Recording:
-    """Return what loggers would have written on one simulated day."""
-    header, rows = record(Day.draw(seed), program, sensors, hours=hours)
+def simulated_recording(
+    seed: int,
+    program: PartProgram,
+    sensors: Sequence[SensorConfig],
+    *,
+    hours: float,
+    travels: Mapping[str, AxisTravel] | None = None,
+    slopes: Mapping[str, float] | None = None,
+) -> Recording:
+    """Return what loggers would have written on one simulated day.
+
+    `travels`: of the axes that go along the work. `slopes`: displacements that become an offset and a slope along their
+    axis, with its pivot [mm]; others along that axis are left out.
+    """
+    header, rows = record(Day.draw(seed), program, sensors, hours=hours, travels=travels)
     column = {name: index for index, name in enumerate(header)}
+    time_s = rows[:, column["t"]].copy()
+    along = {channel[0] for channel in slopes or {}}
+    um = {name: rows[:, column[name]] for name in CHANNELS if name in (slopes or {}) or name[0] not in along}
+    pivots_mm = {}
+    for channel, pivot_mm in (slopes or {}).items():
+        position_mm, name = rows[:, column[f"{channel[0]}_mm"]], channel + SLOPE_SUFFIX
+        um[channel], um[name] = offset_and_slope(time_s, position_mm, um[channel], pivot_mm=pivot_mm, pass_s=PASS_S)
+        pivots_mm[name] = pivot_mm
     names = tuple(f"T{sensor.id}" for sensor in sensors)
     return Recording(
         name=f"simulated day {seed}, O{program.number}",
-        time_s=rows[:, column["t"]].copy(),
+        time_s=time_s,
         speed_rpm=rows[:, column["rpm"]].copy(),
         temperature_names=names,
         temperatures_degc=rows[:, [column[name] for name in names]],
-        displacement_names=CHANNELS,
-        displacements_um=rows[:, [column[name] for name in CHANNELS]],
+        displacement_names=tuple(um),
+        displacements_um=np.column_stack(list(um.values())),
+        pivots_mm=pivots_mm,
     )
 
 

@@ -19,6 +19,7 @@ from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
 from drivers.sim.machine.packs import PackedMachine, load_pack_script
 from drivers.sim.machine.recorded import RecordedMachine
+from drivers.sim.machine.travel import axis_travels
 from drivers.sim.nc.program import demo_program, standing_program
 from drivers.sim.wires.opcua_server import ServerSecurity
 from drivers.sim.wires.runner import Witness, run_simulated_machine
@@ -117,6 +118,7 @@ def simulated_day(
         configuration.cnc.macros,
         configuration.compensation.outputs,
         configuration.cnc.guard,
+        travels=axis_travels(configuration),
     )
     return Simulation(machine=machine, configuration=configuration, clock=clock)
 
@@ -154,6 +156,9 @@ def recorded_simulation(
         recording = read_recording(path, recording_map)
         if hours is not None:
             recording = recording.between_hours(*hours)
+        followed = tuple(axis.estimate for axis in configuration.compensation.outputs.values() if axis.estimate)
+        if set(followed) <= set(recording.displacement_names):
+            recording = recording.with_channels(tuple(dict.fromkeys(followed)))
         machine = RecordedMachine(
             recording,
             configuration.temperatures.sensors,
@@ -161,6 +166,7 @@ def recorded_simulation(
             configuration.compensation.outputs,
             configuration.cnc.guard,
             block_s=recording_map.sample_s,
+            positions={name: axis.axis for name, axis in configuration.cnc.axis_positions.items()},
         )
     except (DriverError, ValueError) as error:
         raise SimulationError(str(error)) from error

@@ -1,6 +1,7 @@
 """`toolpoint replay`: play a recording over real wires while the whole daemon runs."""
 
 import time
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +29,14 @@ from daemon.simulation.replaying import (
     Following,
     allowed_change_k,
     axis_names,
-    check_model,
     following,
     map_of,
+    modelled,
+    played_positions,
     played_utc_s,
     playing_time_s,
     replay_machine,
+    sensor_names,
 )
 from drivers.contract import DriverError
 from drivers.files.recording_csv import read_recording
@@ -84,14 +87,20 @@ def replay(
         last_h = float(table.time_s[-1] - table.time_s[0]) / 3600.0
         hours = from_hours or 0.0, min(to_hours if to_hours is not None else last_h, last_h)
         part = table.between_hours(*hours)
-        check_model(model_path, part)
+        whole, part = part.displacement_names, modelled(model_path, part)
+        said = []
+        if unplayed := [name for name in whole if name not in part.displacement_names]:
+            names = ", ".join(unplayed)
+            said.append(f"not played, because the model does not estimate it, or it is a slope [um/m]: {names}")
+        for sentence in positions_played(played_positions(part)):
+            say(sentence)
     except (DriverError, ValueError) as error:
         refuse(str(error))
     with simulation_folder(directory) as folder:
         try:
             machine = replay_machine(part, model_path, folder / "commissioning.json")
             if note := allowed_change_k(part, machine["temperatures"]["lines"][0]["cycle_period_s"])[1]:
-                say(f"warning: {note}")
+                said.append(note)
             path, _ = write_simulation_configuration(machine, folder, speed=speed)
         except ValueError as error:
             refuse(str(error))
@@ -107,29 +116,40 @@ def replay(
             final, status = settle(running)
         with HistoryReader(running.configuration.history.path) as reader:
             span_s = played_utc_s(part, began_s)
-            followed = following(reader.events(0.0, span_s[1]), *span_s, names=part.temperature_names)
+            followed = following(reader.events(0.0, span_s[1]), *span_s, names=sensor_names(part))
     channels = axis_names(part.displacement_names)
     final["channels"] = {channels[axis]: figures for axis, figures in final["channels"].items()}
-    report(recording, final, status, followed, json_path)
+    found = _found(final, status, followed, said, speed)
+    if part.axis_positions:
+        found["positions"] = played_positions(part)
+    report(recording, found, json_path)
     if html_path is not None:
-        write_page(html_path, page(recording, model_path, channels, final, status, followed))
+        write_page(html_path, page(recording, model_path, channels, final["series"], found))
     if followed.active_share < LEAST_SHARE:
         raise SystemExit(1)
 
 
+def _found(
+    final: dict[str, Any], status: dict[str, Any], followed: Following, said: list[str], speed: float
+) -> dict[str, Any]:
+    """Return the result for JSON, the table and the page; `said`: what was warned of before."""
+    return {
+        "cycles": {"expected": sum(final["cycles_sent"].values()), **status["cycles"]},
+        "writes": status["writes"],
+        "following": {"active_share": followed.active_share, "states": followed.states, "why": followed.why},
+        "channels": final["channels"],
+        "warnings": [*said, *([followed.warning] if followed.warning else [])],
+        "advice": [advice] if (advice := followed.advice(speed)) else [],
+    }
+
+
 def page(
-    recording: Path,
-    model_path: Path,
-    channels: dict[str, str],
-    final: dict[str, Any],
-    status: dict[str, Any],
-    followed: Following,
+    recording: Path, model_path: Path, channels: dict[str, str], series: dict[str, Any], found: dict[str, Any]
 ) -> str:
     """Return the page of a replay: what was measured, what the NC applied turned round, and what that left."""
     from daemon.workbench.thermal.result_pages import Stretch, replay_page
 
     model = model_from_json(model_path.read_bytes(), str(model_path))
-    series = final["series"]
     measured, left = (
         np.array([series["channels"][axis][case] for axis in channels], dtype=np.float64).T
         for case in ("without", "with")
@@ -147,23 +167,20 @@ def page(
         "sensors": len(model.sensor_ids),
         "refused by its training": model.refused or "no",
         "trained on": ", ".join(data.name for data in model.training),
-        "output followed": followed.warning or f"{followed.active_share:.0%} of the time",
+        **{f"position {n}": sentence for n, sentence in enumerate(positions_played(found.get("positions", {})), 1)},
+        "output followed": f"{found['following']['active_share']:.0%} of the time",
     }
-    found = {key: status[key] for key in ("cycles", "writes")} | {"channels": final["channels"]}
-    found["cycles"] = {"expected": sum(final["cycles_sent"].values()), **status["cycles"]}
     return replay_page(f"Replay of {recording.name}", found, facts, list(channels.values()), played)
 
 
-def report(
-    recording: Path, final: dict[str, Any], status: dict[str, Any], followed: Following, json_path: str | None
-) -> None:
+def report(recording: Path, found: dict[str, Any], json_path: str | None) -> None:
     """Print the table or write the JSON; whatever it shows is reported as it is."""
-    say(f"ACTIVE for {followed.active_share:.0%} of the time played")
-    if followed.warning:
-        say(f"warning: {followed.warning}")
-    cycles = {"expected": sum(final["cycles_sent"].values()), **status["cycles"]}
-    shares = {"active_share": followed.active_share, "states": followed.states, "why": followed.why}
-    found = {"cycles": cycles, "writes": status["writes"], "following": shares, "channels": final["channels"]}
+    following = found["following"]
+    say(f"ACTIVE for {following['active_share']:.0%} of the time played")
+    for sentence in found["warnings"]:
+        say(f"warning: {sentence}")
+    for sentence in found["advice"]:
+        say(f"next: {sentence}")
     write_json(json_path, found)
     if json_path is not None:
         return
@@ -173,10 +190,20 @@ def report(
     table = Table(title=f"{recording.name}: error since the first block [um]")
     for column in ("channel", "RMSE without", "RMSE with", "max without", "max with"):
         table.add_column(column, justify="right")
-    for name, channel in final["channels"].items():
+    for name, channel in found["channels"].items():
         numbers = [channel[case][key] for key in ("rmse_um", "max_um") for case in ("without", "with")]
         table.add_row(name, *(f"{number:.2f}" for number in numbers))
     Console().print(table)
+
+
+def positions_played(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    """Yield which axis of the simulated control shows each recorded position, and what becomes of missing ones."""
+    for name, one in positions.items():
+        lost = f"missing in {1.0 - one['known']:.1%} of the rows, where the output holds"
+        yield (
+            f"axis position {name}: played as axis {one['axis']} of the simulated control, straight from row to row; "
+            f"{lost if one['known'] < 1.0 else 'missing nowhere'}"
+        )
 
 
 def _follow(running: RunningSimulation, until_s: float) -> None:

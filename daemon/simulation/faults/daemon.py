@@ -156,7 +156,7 @@ class CampaignDaemon:
             return False
         if resource.getrlimit(resource.RLIMIT_FSIZE)[0] != resource.RLIM_INFINITY:
             return False
-        if self._history.problem:
+        if self._history.problem and self._history.waiting:
             return True
         if self._history.waiting and self._clock.monotonic_s - self._committed_s >= COMMIT_EVERY_S:
             self._committed_s = self._clock.monotonic_s
@@ -186,6 +186,7 @@ class CampaignDaemon:
             bool(daemon.thermal.inhibit()),
             control.skill.inhibit() is not None,
             tuple(map(int, estimate.imputed)) if estimate is not None else (),
+            tuple(memory.tools),
         )
 
     def _estimated(self, control: ControlTask, memory: OutputMemory, estimate: ThermalErrorEstimate | None) -> bool:

@@ -76,6 +76,8 @@ class Claims:
     """Measurements show that the estimate does harm."""
     left_out: tuple[int, ...] = ()
     """Sensors that the estimate imputes."""
+    tools: tuple[int, ...] = ()
+    """Tools whose settings count."""
 
 
 class WriteWatch:

@@ -59,7 +59,10 @@ class TruthWatch:
     # --- events ---------------------------------------------------------------------------
 
     def restarted(self, time_s: float) -> None:
-        """A daemon is started: unless it takes the reference up again, no tool setting counts any more."""
+        """A daemon is started: unless it takes the reference up again, only those tool settings count that it takes up.
+
+        It takes up a setting from a reference that had ended, and says which.
+        """
         self.busy(time_s)
         self._restarted = True
 
@@ -77,7 +80,7 @@ class TruthWatch:
         if claims.reference is not None and claims.reference != self._reference:
             self._reference = claims.reference
             if self._restarted:
-                self.twin.forget()
+                self.twin.forget(but_for=claims.tools)
             self.twin.reference(time_s, claims.model, applied_um)
         self._restarted &= claims.reference is None
         if claims.model is not None and claims.estimate_reference == claims.reference is not None:

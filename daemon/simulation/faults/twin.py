@@ -10,7 +10,7 @@ the machine now and then lets one do.
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -151,11 +151,11 @@ class Twin:
         if (wanted := self.request_um(name)) is not None:
             self._axes[name].offset_um += applied_um - deviation_um - wanted
 
-    def forget(self) -> None:
-        """The control was switched off, or the daemon was away for too long: no setting counts any more."""
+    def forget(self, *, but_for: Collection[int] = ()) -> None:
+        """The control was switched off, or the daemon was away: no setting counts any more, `but_for` these tools'."""
         self.known = False
         for axis in self._axes.values():
-            axis.tools.clear()
+            axis.tools = {number: tool for number, tool in axis.tools.items() if number in but_for}
             axis.reference = None
 
     # --- what follows ---------------------------------------------------------------------
