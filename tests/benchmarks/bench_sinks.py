@@ -1,6 +1,7 @@
 """What a sink costs: sending a day of a full machine, the room that it takes there, and the sender that only waits.
 
 python tests/benchmarks/bench_sinks.py [--hours 24] [--waiting-s 20] [--noise-k 0.04] [--only mqtt]
+python tests/benchmarks/bench_sinks.py --only parquet --temperatures-only [--simulated]
 
 A machine of 302 sensors on three lines every 10 s, a poll of the CNC every second, an estimate, a write and
 displacements every 10 s. PostgreSQL is a server of its own on this computer, and so is mosquitto, whose own client
@@ -26,11 +27,16 @@ from history_records import EPOCH_S, FULL, StillClock
 from mosquitto import mosquitto
 from postgresql import PASSWORD, Server, postgresql
 
+from config.loader import load_configuration
+from config.machines import shipped_file
 from config.schema.service import HistoryConfig
 from config.schema.sinks import SinkConfig
 from daemon.history import HistoryWriter, housekeeping
 from daemon.history.cursors import Cursor
 from daemon.sinks.running import SinkRunner
+from drivers.sim.machine.body import MachineBody
+from drivers.sim.machine.day import Day
+from drivers.sim.nc.program import demo_program
 
 MIDNIGHT_S = EPOCH_S - EPOCH_S % 86_400.0
 
@@ -40,19 +46,46 @@ def processor_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def fill(store: Path, hours: float, noise_k: float) -> None:
-    """A machine that warms up."""
+Degc = Callable[[int, str], np.ndarray]
+"""Temperatures of a cycle's number and a line."""
+
+
+def warming_up(noise_k: float) -> Degc:
+    """A machine that warms up, with sensors of 1/16 K."""
     random = np.random.default_rng(1)
+
+    def degc(k: int, line: str) -> np.ndarray:
+        members = len(FULL.lines[line])
+        warm = 20.0 + 10.0 * (1.0 - np.exp(-k / 1000.0)) * np.linspace(0.2, 1.0, members)
+        return np.round((warm + random.normal(0.0, noise_k, members)) / 0.0625) * 0.0625
+
+    return degc
+
+
+def simulated_day(hours: float) -> Degc:
+    """A day of the simulated machine, whose sensors have 0.02 K and 0.03 K of noise, from a cold start."""
+    sensors = load_configuration(shipped_file("cfrpmt.yaml")).temperatures.sensors
+    body = MachineBody(Day.draw(3, start="cold"), demo_program(), sensors, machine_seed=3)
+    rows = []
+    for k in range(int(hours * 360)):
+        body.advance(10.0 * k, leaving=lambda _segment: None, entered=lambda: None)
+        rows.append(body.sensors.degc(body.register_codes()))
+    return lambda k, line: rows[k][[sensor_id - 1 for sensor_id in FULL.lines[line]]]
+
+
+def fill(store: Path, hours: float, degc_of: Degc, *, temperatures_only: bool) -> None:
+    random = np.random.default_rng(2)
     writer = HistoryWriter(store, clock=StillClock(), machine=FULL)
     writer.start()
     with closing(writer):
         for k in range(int(hours * 360)):
             now_s = MIDNIGHT_S + 10.0 * k
             writer._clock.utc_s = now_s
-            for line, members in FULL.lines.items():
-                warm = 20.0 + 10.0 * (1.0 - np.exp(-k / 1000.0)) * np.linspace(0.2, 1.0, len(members))
-                degc = np.round((warm + random.normal(0.0, noise_k, len(members))) / 0.0625) * 0.0625
-                writer.temperatures(None, make.cycle(line, k + 1, now_s, degc))
+            for line in FULL.lines:
+                first_s = round(now_s + random.normal(0.0, 0.004), 3)
+                writer.temperatures(None, make.cycle(line, k + 1, first_s, degc_of(k, line)))
+            if temperatures_only:
+                continue
             for second in range(10):
                 writer.cnc_sample(make.cnc_sample(now_s + second, macros={600: k / 1e3, 601: k / 2e3, 602: 0.0}))
             um = np.round(random.normal(0.0, 0.1, 3) + k / 100.0, 3)
@@ -182,12 +215,15 @@ def main() -> None:
     parser.add_argument("--hours", type=float, default=24.0)
     parser.add_argument("--waiting-s", type=float, default=20.0)
     parser.add_argument("--noise-k", type=float, default=0.04, help="of a reading, before it is rounded to 1/16 K")
+    parser.add_argument("--simulated", action="store_true", help="temperatures of the simulated machine")
+    parser.add_argument("--temperatures-only", action="store_true", help="no other kind of record")
     parser.add_argument("--only", choices=("postgresql", "parquet", "mqtt", "sparkplug"))
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         store = folder / "history.sqlite"
-        fill(store, given.hours, given.noise_k)
+        degc_of = simulated_day(given.hours) if given.simulated else warming_up(given.noise_k)
+        fill(store, given.hours, degc_of, temperatures_only=given.temperatures_only)
         print(f"store: {store.stat().st_size / 2**20:.1f} MiB for {given.hours:g} h")
         if given.only in (None, "postgresql"):
             with postgresql() as server:

@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from history_records import cnc_sample
 
 from config.schema.compensation import OutputConfig
 from daemon.cnc.macro_block import Echo
-from daemon.compensation.alarms import GuardWatch, alarm_of
+from daemon.compensation.alarms import NEARING, PLACE, GuardWatch, alarm_of
+from drivers.guard.text import GuardStatus
 from models.control.compensation import initial_memory
 from models.control.state import OutputMemory
 from models.records import OutputState
@@ -46,3 +48,36 @@ def test_a_long_hold_is_told_beside_the_guard() -> None:
 def test_a_long_hold_is_one_alarm_however_long_it_lasts() -> None:
     """The audit gets an alarm when its first words change: they must not count the seconds."""
     assert len({alarm(OutputState.HOLD, refusals=0, now_s=now_s) for now_s in (400.0, 402.0, 500.0)}) == 1
+
+
+def told(*statuses: int, state: OutputState = OutputState.ACTIVE) -> str:
+    """Return the alarm after so many runs of the guard."""
+    watch, echo = GuardWatch(), Echo(applied_um=np.array([5.0]), time_s=0.0, status=0, guard_version=2.0)
+    watch.follow(echo, cnc_sample(0.0))
+    for run, status in enumerate(statuses, start=1):
+        echo = replace(echo, time_s=float(run), status=status)
+        watch.follow(echo, cnc_sample(float(run)))
+    return alarm_of(memory_in(state), echo, now_s=10.0, guard=watch, config=OutputConfig(), inhibit=None)
+
+
+def test_a_slope_that_is_on_its_way_twice_is_an_alarm_that_does_not_say_that_nothing_was_applied() -> None:
+    assert told(13) == "" and told(13, 0, 13) == ""
+    said = told(13, 13)
+    assert said == told(13, 13, 13), "one alarm, however long it lasts"
+    assert said.startswith(
+        "the guard applies the block, but a slope is not yet in for where its axis stands (status 13)"
+    )
+    assert "call the guard again, the axis standing where the work is" in said and "does not apply" not in said
+    assert told(13, 2) == "", "one torn read is none either after it"
+    assert "(status 2" in told(13, 2, 2)
+
+
+def test_an_axis_with_a_slope_outside_its_travel_is_told_with_where_to_call_the_guard() -> None:
+    assert told(12) == "" and told(12, 13) == ""
+    said = told(12, 12, state=OutputState.HOLD)
+    assert said.startswith("the guard applies nothing of the block, of any axis: one with a slope stands outside")
+    assert "(status 12): call the guard where the work is" in said and "slope.travel_mm" in said
+
+
+def test_the_numbers_are_those_of_the_guards_text() -> None:
+    assert (PLACE, NEARING) == (GuardStatus.PLACE, GuardStatus.NEARING)

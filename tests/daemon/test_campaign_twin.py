@@ -307,3 +307,19 @@ def test_after_a_restart_a_new_reference_forgets_the_tools_and_the_same_one_does
     judged.say()
     judged.bench.twin.tool_changed(7)
     assert judged.bench.requests()[1] == pytest.approx(10.0)
+
+
+def test_a_setting_that_a_restart_takes_up_from_an_ended_reference_counts_on(judged: Judged) -> None:
+    twin = judged.bench.twin
+    for number, um in ((2, 31.0), (3, 35.0)):
+        twin.tool_changed(number)
+        twin.tool_set(judged.now_s, "z", um)
+    twin.tool_changed(1)
+    judged.watch.restarted(judged.now_s)
+    content = {"reference": "r2", "estimate_reference": "r2", "model": MODEL, "wanted": WANTED, "tools": (2,)}
+    judged.claims = claims(state="ACTIVE", **content)
+    judged.say()
+    twin.tool_changed(2)
+    assert judged.bench.requests()[1] == pytest.approx(31.0)
+    twin.tool_changed(3)
+    assert judged.bench.requests()[1] == pytest.approx(10.0), "it has ended, and the daemon said so"

@@ -131,6 +131,16 @@ def test_a_sister_takes_over_the_type_with_one_recording(fleet: Path, tmp_path: 
     assert found["model"]["kind"] == "fleet" and found["model"]["sensors"] == 16
     model = model_from_json((tmp_path / "model.json").read_bytes(), "model.json")
     assert model.channels == ("Y1", "Y2", "Z1", "Z2", "Z3")
+    own = ["-c", str(fleet / "toolpoint.yaml"), "--json", "-"]
+    alone = CliRunner().invoke(main, [*command[:2], *command[3:], *own])
+    assert alone.exit_code == 0, alone.output
+    found = json.loads(alone.stdout)
+    assert found["training"] == [] and found["held_out"]["folds"] == "machine" and found["refused"] is None
+    assert found["held_out"]["relative_rmse"] < 0.6 and "on machines that were left out" in alone.stderr
+    no_prior = CliRunner().invoke(main, ["thermal", "train", "-o", str(tmp_path / "model.json")])
+    assert no_prior.exit_code == 2 and "only --prior can do without" in no_prior.output
+    of_none = CliRunner().invoke(main, [*command[:2], *command[3:], *own, "--recent", "2"])
+    assert of_none.exit_code == 2 and "without recordings the type says everything" in of_none.output
     write_configuration(tmp_path / "other.yaml", few_sensors()[1:])
     other = CliRunner().invoke(main, [*command, "-c", str(tmp_path / "other.yaml")])
     assert other.exit_code == 2 and "day01.csv: column T1: " in other.output

@@ -62,6 +62,7 @@ def test_every_option_reaches_the_model(tmp_path: Path) -> None:
     score = model.hyper_parameters["held_out_relative_rmse"]
     assert model.hyper_parameters == {
         "interval_min": 4.0, "intercept": True, "ridge_k2": 0.5, "held_out_relative_rmse": score,
+        "held_out_relative_rmse_by_channel": [score],
     }  # fmt: skip
     assert 0.0 < score < 1.0
     assert (model.channels, model.sensor_names) == (("c2",), ("T4", "T2"))

@@ -88,7 +88,7 @@ def test_a_channel_that_never_moves_is_named(tmp_path: Path) -> None:
 
 def test_families_that_cannot_be_told_apart_are_named_with_what_would_tell_them(tmp_path: Path) -> None:
     found = trained(tmp_path, *[run(tmp_path, number) for number in range(1, 6)], model="default")
-    assert "cannot tell them apart" in advice(found)
+    assert "these recordings cannot tell '" in advice(found) and "apart, which leave the same" in advice(found)
     assert "record 3 more runs, each at speeds and with pauses that no run has had yet" in advice(found)
 
 

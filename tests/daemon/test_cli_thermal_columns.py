@@ -196,3 +196,38 @@ def test_a_recording_that_is_written_is_read_whatever_its_columns_are_called(tmp
     read = read_recording(tmp_path / "tag.csv", recording_map)
     assert read.displacement_names == tuple(channels)
     assert np.array_equal(read.displacements_um, np.column_stack([columns[name][0] for name in channels]))
+
+
+def test_a_map_of_usual_names_can_be_had_too_to_take_a_column_out_of_it(tmp_path: Path) -> None:
+    rows = "".join(f"{60 * row},{20 + row % 30},{21 + row % 20},{row % 30}\n" for row in range(60))
+    (tmp_path / "day.csv").write_text("time_s,T1,T2,Z1_um\n" + rows, encoding="utf-8")
+    path, output = tmp_path / "map.yaml", tmp_path / "m.json"
+    arguments = ("train", tmp_path / "day.csv", "--model", "ridge", "--map-out", path, "-o", output)
+    assert thermal(*arguments).exit_code == 0
+    found = load_recording_map(path)
+    assert (found.time, found.temperatures, found.displacements) == ("time_s", ["T1", "T2"], ["Z1_um"])
+    assert (found.displacement_names, model(output).channels) == ({"Z1_um": "Z1"}, ("Z1",))
+
+
+@pytest.mark.parametrize(
+    ("time", "texts", "sentence"),
+    [
+        ("Timestamp", ("05.02.2026 07:00",) * 2 + ("05.02.2026 07:01",) * 2, "says the same time in rows one after"),
+        ("time_ms", ("0", "60000", "120000", "180000"), "milliseconds, which a map cannot say: divide the column"),
+    ],
+)
+def test_a_time_that_a_map_cannot_say_is_told(tmp_path: Path, time: str, texts: tuple[str, ...], sentence: str) -> None:
+    rows = "".join(f"{text};20,5;1,5\n" for text in texts)
+    (tmp_path / "day.csv").write_text(f"{time};Temp 1;Weg Z [um]\n" + rows, encoding="utf-8")
+    result = thermal("train", tmp_path / "day.csv", "-o", tmp_path / "m.json")
+    assert (result.exit_code, sentence in result.stdout) == (2, True), result.output
+    assert "none seems to be its time" in result.stderr
+
+
+def test_columns_that_a_proposed_map_leaves_out_are_named_with_what_to_do(tmp_path: Path) -> None:
+    rows = "".join(f"{60 * row},{20 + row % 30},{21 + row % 20},{row % 30}\n" for row in range(60))
+    (tmp_path / "day.csv").write_text('time [s],Temp 1,"nose, front",Weg Z [um]\n' + rows, encoding="utf-8")
+    arguments = ("train", tmp_path / "day.csv", "--model", "ridge", "--map-out", tmp_path / "map.yaml")
+    result = thermal(*arguments, "-o", tmp_path / "m.json")
+    assert result.exit_code == 0
+    assert "not used, because the names do not say what they are: 'nose, front'; add what is a temp" in result.stderr

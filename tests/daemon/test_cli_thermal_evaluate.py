@@ -12,9 +12,12 @@ from searched_once import searched_once
 
 from daemon.cli import main
 from daemon.cli.thermal.evaluate import MODELS, parse_fault
+from daemon.workbench.thermal.shortfalls import beyond_training, on_line_sentences
+from models.recordings.dataset import Recording
 from models.thermal.family import model_from_json
 from models.thermal.features import lag_table
 from models.thermal.linear import LinearModel
+from models.thermal.training.inputs import build_inputs
 from models.thermal.training.recipes import RECIPES
 from models.thermal.training.trial import Fault
 
@@ -65,6 +68,17 @@ def figures(*arguments: object) -> dict[str, Any]:
     found = json.loads(result.stdout)
     assert isinstance(found, dict)
     return found
+
+
+def test_a_fault_and_a_false_alarm_name_the_recording(tmp_path: Path) -> None:
+    """Of several recordings whose hours are tested, one is meant."""
+    columns = table(seed=1)
+    columns["t2"][600:] += 40.0  # from hour 10 on, in the second recording alone
+    days = [write(tmp_path / "day.csv", table()), write(tmp_path / "next.csv", columns)]
+    done = invoke(*days, *SPLIT, "--model", "ridge", "--fault", "step:t1:5degC@9h")
+    assert done.exit_code == 0, done.output
+    assert "step t1 in day.csv: found after" in done.stderr and "step t1 in next.csv: found after" in done.stderr
+    assert "t2 in next.csv after 2.0 h" in done.stderr and "in test" not in done.stderr
 
 
 def test_the_json_holds_what_is_promised_and_nothing_else_is_on_standard_output(recording: Path) -> None:
@@ -189,6 +203,46 @@ def test_a_machine_that_hardly_moves_is_refused_and_still_judged(tmp_path: Path)
     found = figures(write(tmp_path / "steady.csv", columns), *SPLIT)
     assert isinstance(found["refused"], str)
     assert found["mean"]["rmse_um"] is not None
+
+
+def test_what_would_not_be_had_on_line_and_a_channel_that_is_made_worse_are_said_with_what_to_record(
+    tmp_path: Path,
+) -> None:
+    columns = table()
+    tested = columns["t"] >= 8 * 3600.0
+    columns["c2"] = np.where(tested, -1.0, 1.0) * columns["c2"]
+    columns["rpm"] = np.where(tested, 1.6, 1.0) * columns["rpm"]
+    found = figures(write(tmp_path / "day.csv", columns), *SPLIT, "--model", "ridge")
+    said = "\n".join(found["advice"])
+    assert "channel c2: the model leaves" in said and "worse than no compensation" in said
+    assert "record 2 more runs like that test" in said and "channel c1:" not in said
+    assert "4 whole run(s) or cycle(s) can be left out" in said, "a family that was asked for by name is advised too"
+    online = found["tests"][0]["online"]
+    assert set(online) == {"rmse_um", "reduction_rmse", "mean_confidence", "following"}
+    faster = {"name": "test", "reduction_rmse": 0.9, "excluded": [], "online": online | {"reduction_rmse": 0.5}}
+    (sentence,) = on_line_sentences([faster], {"test": ["spindle speed to 7000 1/min (training: 5000)"]})
+    assert sentence.startswith("test: 90% of the error could be removed, on line it would be 50%")
+    assert "it goes beyond training (spindle speed to 7000 1/min (training: 5000)): record 2 runs" in sentence
+    assert on_line_sentences([faster | {"online": online | {"reduction_rmse": 0.85}}], {}) == []
+    out = on_line_sentences([faster | {"excluded": [{"sensor": "t3"}]}] * 5, {})
+    assert "sensors were excluded (t3)" in out[0] and out[-1] == "so it is in 2 more tests"
+
+
+def test_what_a_test_reaches_beyond_training_is_named() -> None:
+    columns = table()
+    rows = np.arange(len(columns["t"]))
+    recording = Recording(
+        name="day.csv",
+        time_s=columns["t"],
+        speed_rpm=np.where(rows >= 480, 1.6, 1.0) * columns["rpm"],
+        temperature_names=("t1", "t2"),
+        temperatures_degc=np.column_stack([columns["t1"] + np.where(rows >= 480, 9.0, 0.0), columns["t2"] % 25.0]),
+        displacement_names=("c1",),
+        displacements_um=columns["c1"][:, None],
+    )
+    inputs = build_inputs([recording], sample_s=60.0, lags_min=(), speed_lags_min=())
+    first, second = beyond_training(inputs, rows < 480, rows >= 480)
+    assert first.startswith("t1 to ") and second == "spindle speed to 5600 1/min (training: 5000)"
 
 
 def test_constant_and_lost_sensors_are_left_out_by_name(tmp_path: Path) -> None:

@@ -64,3 +64,35 @@ def test_a_slope_is_proved_by_what_two_positions_show(tmp_path: Path) -> None:
             assert bench.at_rest()
 
     asyncio.run(main())
+
+
+class CallingThere(Person):
+    """The same at a FANUC, whose guard puts the slope in for where the axis stands when it is called."""
+
+    def __init__(self, bench: Bench) -> None:
+        super().__init__(bench)
+        self.eyes = lambda axis: bench.moved_um()[axis]
+
+    async def confirm(self, question: str) -> bool:
+        """Bring the axis there, and call the guard once."""
+        if found := re.search(r"stand at ([0-9.]+) mm", question):
+            self.bench.machine.guard.control.positions_mm[2] = float(found[1])
+            if "the guard called there" in question:
+                self.bench.call_guard()
+        return await super().confirm(question)
+
+
+def test_at_a_fanuc_the_guard_is_called_at_both_positions_until_the_slope_is_there(tmp_path: Path) -> None:
+    async def main() -> None:
+        async with serving(tmp_path, "opcua", SLOPE) as bench:
+            person = CallingThere(bench)
+            plan: dict[str, Any] = {"axes": ("z_slope",), "positions": {"z_slope": AT_MM}, "offset_um": 4.0}
+            record = await bench.commission(person, **plan)
+            assert record is not None
+            proved = record.axes["z_slope"]
+            assert proved.sign == 1 and proved.scale == pytest.approx(1.0, abs=0.03), "of increments of 0.1 um"
+            assert proved.slope is not None and proved.slope.positions_mm == AT_MM
+            assert "on its way to where the axis stands" in person.text_said
+            assert bench.at_rest(), "everything is back at zero"
+
+    asyncio.run(main())

@@ -1,5 +1,6 @@
 """The control task when the output cannot be trusted or the link is lost: nothing is written that should not be."""
 
+import asyncio
 from dataclasses import replace
 
 import pytest
@@ -121,16 +122,17 @@ async def test_what_arrived_before_the_control_refused_is_known_as_ours_after_a_
         assert "was refused" in again.control.journal.fault and "we wrote" not in again.control.journal.fault
 
 
-async def test_an_unknown_exception_latches_a_fault_and_the_loop_goes_on(rig, bench):
+@pytest.mark.parametrize("error", [ZeroDivisionError("nobody expected this"), asyncio.CancelledError()])
+async def test_an_unknown_exception_latches_a_fault_and_the_loop_goes_on(rig, bench, error):
     await rig.active()
     await rig.follow(0.0, -5.0, 15)
     with structlog.testing.capture_logs() as logs:
-        bench.nc.breaks = ZeroDivisionError("nobody expected this")
+        bench.nc.breaks = error
         await rig.turn(rig.estimate(0.0, -5.0))
     assert [entry for entry in logs if entry["event"] == "control.defect"]
     bench.nc.written.clear()
     await rig.follow(0.0, -5.0, 10)
-    assert rig.state == "FAULT" and "ZeroDivisionError" in rig.control.journal.alarm
+    assert rig.state == "FAULT" and type(error).__name__ in rig.control.journal.alarm
     assert bench.nc.written == []
     assert rig.control.session.sample.time.monotonic_s == rig.clock.monotonic_s, "it still polls"
     rig.control.request(ACKNOWLEDGE, "p")

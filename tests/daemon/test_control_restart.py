@@ -1,15 +1,18 @@
 """The control task after a restart of the daemon: from the echo, with the reference and its baseline."""
 
+import json
 from dataclasses import replace
 
 import pytest
 from control_rig import (
     Bench,
     Z,
+    record_for,
     running,
 )
 from wires import EVER, check_audit
 
+from config.records.commissioning import CommissionedAxis
 from daemon.history import HistoryReader
 from daemon.messages import ReferenceRefused, ReferenceRequest, ReferenceTakenUp
 from models.control.state import OperatorRequest
@@ -89,6 +92,34 @@ async def test_an_estimate_right_after_the_restart_does_not_count_twice(bench):
         rig.control.deliver(rig.estimate(0.0, -10.0))
         await rig.follow(0.0, -10.0, 20)
         assert rig.applied["z"] == pytest.approx(10.0, abs=0.11)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"temperatures": "exchanged"}, "the list of sensors or what one of them reads changed"),
+        ({"record": -1}, "the commissioned movement per macro value changed"),
+    ],
+)
+async def test_a_reference_counts_with_the_sensors_and_factors_of_its_run_alone(bench, changes, words):
+    """Its temperatures are kept in the sensors' order, its baseline in um: taken up, 10 K and 20 um would be wrong."""
+    await leave(bench)
+    if "temperatures" in changes:
+        content = bench.configuration.model_dump(mode="json")
+        first, *others = content["temperatures"]["sensors"]
+        content["temperatures"]["sensors"] = [*others, first]
+        bench.configuration = type(bench.configuration).model_validate_json(json.dumps(content))
+        record = record_for(bench.configuration)
+    else:
+        axes = dict.fromkeys("xyz", CommissionedAxis(sign=-1, scale=1.0, written_um=10.0, measured_um=-10.0))
+        record = record_for(bench.configuration, axes=axes)
+    async with running(bench.rig(record=record)) as rig:
+        await rig.turn()
+        applied = rig.applied["z"]
+        await rig.follow(0.0, -20.0, 3)
+        assert rig.state == "HOLD" and rig.control.reference is None and rig.applied["z"] == applied
+        assert words in rig.control.reference_ended
+        assert not any(isinstance(message, ReferenceTakenUp) for message in rig.asked)
 
 
 async def test_a_reference_without_its_baseline_is_not_taken_up(bench):

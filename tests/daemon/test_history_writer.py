@@ -1,6 +1,7 @@
 """The writer: what is committed when, what survives a failing disk, what is refused."""
 
 import asyncio
+import queue
 import sqlite3
 import threading
 import time
@@ -345,6 +346,20 @@ def test_intake_takes_the_audit_first_and_keeps_order_when_put_back() -> None:
     order = [entry.kind for entry in intake.take(0.0)]
     assert [entry.kind for entry in taken] == ["b", "d", "a", "c"]
     assert order == ["b", "d", "e", "a", "c"]
+
+
+def test_what_has_time_wakes_nobody_and_is_taken_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("daemon.history.intake.LONGEST_WAIT_S", 0.05)
+    intake, taken, woken = Intake(10), queue.SimpleQueue[list[str]](), []
+    monkeypatch.setattr(intake._changed, "notify", lambda: woken.append(1))
+    reader = threading.Thread(target=lambda: taken.put([entry.kind for entry in intake.take(0.0)]), daemon=True)
+    reader.start()
+    put_s = time.monotonic()
+    intake.put(Entry(kind="a", execute=lambda *_: None), within_s=0.1)
+    assert taken.get(timeout=FOREVER_S) == ["a"] and not woken
+    assert time.monotonic() - put_s >= 0.1, "it waited for what else is to go with it"
+    intake.put(Entry(kind="b", execute=lambda *_: None), within_s=0.02)
+    assert woken
 
 
 class TestStore:

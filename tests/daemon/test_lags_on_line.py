@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import structlog
 from control_rig import SENSOR_IDS, Bench, HandClock, machine, running
 
 from daemon.estimation.task import ThermalTask
@@ -115,8 +116,7 @@ class Shop:
         self.numbers = dict.fromkeys(CHAINS, 0)
 
     async def prepare(self):
-        await self.task.recall()
-        await asyncio.to_thread(self.task._online.prepare, self.clock.now().monotonic_s)
+        await self.task.begin()
 
     async def run(self, minutes, *, speed=True):
         for step in range(round(minutes * 60.0 / STEP_S)):
@@ -184,6 +184,23 @@ async def test_a_machine_that_was_off_over_night_is_followed_from_its_first_refe
     await shop.refer()
     await shop.run(2)
     assert shop.latest.confidence > 0.9
+    await shop.end()
+
+
+async def test_the_states_are_rebuilt_though_the_last_temperatures_cannot_be_read(tmp_path, model, monkeypatch):
+    shop = Shop(tmp_path, model)
+    await shop.prepare()
+    await shop.run(10)
+    await shop.end()
+    shop.begin()
+
+    def breaks(*_):
+        raise ValueError("made up")
+
+    monkeypatch.setattr(shop.task._past, "last_accepted", breaks)
+    with structlog.testing.capture_logs() as logs:
+        await shop.prepare()
+    assert [entry["event"] for entry in logs] == ["thermal.defect", "states.rebuilt"]
     await shop.end()
 
 

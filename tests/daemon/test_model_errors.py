@@ -14,10 +14,11 @@ from control_rig import machine
 from config.loader import load_configuration
 from config.sample import sample_configuration
 from config.schema import Configuration
+from config.schema.displacements import DisplacementChannelConfig, DisplacementFileConfig, DisplacementsConfig
 from daemon.cli import main
 from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.layout import MachineLayout
-from daemon.model_release.model_errors import MeasuredError, drift_document, measured_errors
+from daemon.model_release.model_errors import MeasuredError, drift_document, in_force, measured_errors
 from daemon.sinks.alarms.observing import worn_models
 from models.records import ProbeSample
 
@@ -91,8 +92,80 @@ def test_each_accepted_probe_value_says_what_the_model_left(tmp_path: Path) -> N
     for day, each in enumerate(found[::2]):
         error_um = 10.0 + (7 * day) % 11
         assert each.without_um == pytest.approx(error_um) and each.left_um == pytest.approx(0.2 * error_um)
-        assert each.with_um == pytest.approx(each.left_um)
+        assert each.with_um == pytest.approx(each.left_um) and each.source == "probe"
     assert errors_of(configuration, {"y": 1.0}) == [], "without the echo of z its baseline is not known"
+
+
+ZERO_UM = 400.0
+"""Where the logger has its zero."""
+
+
+def measured_machine(folder: Path) -> Configuration:
+    """The displacement that axis z follows is measured."""
+    section = DisplacementsConfig(
+        file=DisplacementFileConfig(path=folder / "d.csv", header="Time"),
+        channels=[DisplacementChannelConfig(name="Z1", column="Z")],
+    )
+    return machine(folder).model_copy(update={"displacements": section})
+
+
+def fill_displacements(
+    configuration: Configuration, start_s: float, days, share_left, *, minutes: int = 131, references: int = 1
+) -> None:
+    """A warm-up on each day: Z1 grows to 20 um, the model takes its part away and the guard applies it."""
+    clock = make.StillClock(start_s)
+    layout = MachineLayout.from_configuration(configuration)
+    writer = HistoryWriter(configuration.history.path, clock=clock, machine=layout)
+    writer.start()
+    echo = configuration.cnc.macros.echo_applied["z"]
+    for day in days:
+        for minute in range(minutes):
+            now_s = start_s + DAY_S * day + 60.0 * minute
+            clock.utc_s = now_s
+            error_um = 5.0 + 20.0 * (1.0 - np.exp(-minute / 40.0))
+            reference_id = f"{day}.{minute * references // minutes}"
+            estimated_um = (1.0 - share_left(day)) * error_um - 3.0 * (minute * references // minutes)
+            writer.estimate(
+                make.estimate(
+                    now_s,
+                    [0.0, estimated_um],
+                    channels=("Y1", "Z1"),
+                    band_um=np.full(2, 2.5),
+                    model_id="m1",
+                    reference_id=reference_id,
+                )
+            )
+            writer.cnc_sample(make.cnc_sample(now_s, macros={echo: -estimated_um / 1000.0}))
+            um = np.array([ZERO_UM + error_um - estimated_um])
+            writer.displacement(make.displacement(now_s, um))
+    writer.close()
+
+
+def test_displacements_say_what_the_model_left_since_they_began(tmp_path: Path) -> None:
+    configuration = measured_machine(tmp_path)
+    fill_displacements(configuration, make.EPOCH_S, [0], lambda day: 0.2)
+    found = [each for each in errors_of(configuration) if each.axis == "z"]
+    assert len(found) == 13 and {(each.source, each.model_id) for each in found} == {("displacement", "m1")}
+    for number, each in enumerate(found, 1):
+        grown_um = 20.0 * (1.0 - np.exp(-10.0 * number / 40.0))
+        assert each.without_um == pytest.approx(grown_um) and each.left_um == pytest.approx(0.2 * grown_um, abs=0.01)
+        assert each.with_um == pytest.approx(each.left_um, abs=0.01)
+    fill_displacements(configuration, make.EPOCH_S + DAY_S, [0], lambda day: 0.2, references=2)
+    assert len([each for each in errors_of(configuration) if each.axis == "z"]) == 13, "an hour each is too short"
+
+
+def test_displacements_ask_for_another_model_as_probes_do(tmp_path: Path) -> None:
+    configuration = measured_machine(tmp_path)
+    fill_displacements(configuration, make.EPOCH_S, range(0, 133, 7), lambda day: 0.1 + 0.5 * day / 133.0, minutes=121)
+    found = drift_document(errors_of(configuration), bound=None, least_error_um=5.0)
+    (judged,) = [each for each in found if each["axis"] == "z"]
+    assert judged["source"] == "displacement" and judged["retrain"] and judged["drift"]["share"] > 0.4
+    assert in_force(found) == found
+    later = MeasuredError(utc_s=4e9, axis="z", model_id="m2", with_um=1.0, without_um=9.0, left_um=1.0)
+    found = drift_document([*errors_of(configuration), later], bound=None, least_error_um=5.0)
+    assert [each["model_id"] for each in in_force(found) if each["axis"] == "z"] == ["m2"], (
+        "a probe under another model"
+    )
 
 
 def test_each_model_is_judged_by_itself(tmp_path: Path) -> None:

@@ -64,6 +64,10 @@ class MeanTemperature:
     def pivots_mm(self) -> dict[str, float]:
         return {}
 
+    @property
+    def hyper_parameters(self) -> dict[str, float]:
+        return {}
+
     def runtime(self, machine: Machine) -> "MeanOnline":
         return MeanOnline(self)
 

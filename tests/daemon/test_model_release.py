@@ -228,6 +228,9 @@ def test_what_is_refused_says_why(folder):
     assert "no channel Z1" in refusal(folder, proposal(folder, one_channel()))
     assert "nothing was held out" in refusal(folder, proposal(folder, model(band_um=np.nan)))
     assert "wider than 30 um" in refusal(folder, proposal(folder, model(band_um=31.0)))
+    shares = [1.3 if channel == "Z1" else 0.4 for channel in model().channels]
+    harmful = replace(model(), hyper_parameters={"held_out_relative_rmse_by_channel": shares})
+    assert "channel Z1: 130% of its error remains on what was left out" in refusal(folder, proposal(folder, harmful))
     narrow = ReleaseConfig(largest_band_um=1.5)
     assert "wider than 1.5 um" in refusal(folder, proposal(folder, model()), release=narrow)
     assert "cannot be read" in refusal(folder, folder / "nowhere.json")

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+import yaml
 from click.testing import CliRunner
 from fleet_kills import plant_broker
 from mosquitto import mosquitto
@@ -17,6 +18,7 @@ from postgresql import PASSWORD, Server, postgresql
 
 from config.schema.plant_store import PlantStoreConfig
 from daemon.cli import main
+from daemon.simulation.processes import free_port
 from daemon.sinks.database import scripts
 from daemon.sinks.outbox import STREAMS
 from daemon.sinks.plant_store import LARGEST_MESSAGE, TEXTS, PlantStore, row_of
@@ -173,6 +175,34 @@ def test_the_rights_that_the_guide_gives_keep_a_machine_from_writing_for_another
         finally:
             stop.set()
             store.join()
+
+
+def test_a_store_that_cannot_store_says_why_and_its_status_ends_with_1(server: Server, tmp_path: Path) -> None:
+    config, stop, told = section(server, free_port(), tmp_path), threading.Event(), []
+
+    def tell(status: str) -> None:
+        told.append(status)
+        stop.set()
+
+    PlantStore(config, stop, tell).run()
+    assert told[0].startswith(f"cannot store, tries again: broker 127.0.0.1:{config.mqtt.server_port}: ")
+    path = tmp_path / "plant.yaml"
+    path.write_text(yaml.safe_dump(config.model_dump(mode="json", exclude_defaults=True)))
+    ask = ["fleet", "store", "--config", str(path), "--status"]
+    done = CliRunner().invoke(main, ask)
+    assert done.exit_code == 1 and "no store is connected to the database" in done.output
+    with server.connection() as connection:
+        connection.execute("SET application_name = 'toolpoint store'")
+        done = CliRunner().invoke(main, [*ask, "--late-s", "3600"])
+        assert done.exit_code == 1 and "no machine's newest row is younger than 3600 s" in done.output
+        connection.execute(
+            "INSERT INTO toolpoint.deliveries VALUES ('mill 9', 'events', '', 0, 0, now() - interval '3 minutes') "
+            "ON CONFLICT DO NOTHING"
+        )
+        done = CliRunner().invoke(main, [*ask, "--late-s", "3600", "--json", "-"])
+        assert done.exit_code == 0, done.output
+        (found,) = [each for each in json.loads(done.stdout)["machines"] if each["machine"] == "mill 9"]
+        assert 180.0 <= found["late_s"] < 3600.0
 
 
 def test_the_command_refuses_a_file_that_names_no_broker(tmp_path: Path) -> None:

@@ -43,9 +43,26 @@ def test_an_output_that_went_back_is_named_by_its_cause_and_a_sensor_by_its_colu
         event(115.0, "HOLD -> RETREAT: held too long: the level of sensor 2 by 2.0 K has changed"),
         event(120.0, "RETREAT -> OFF: the guard applies zero"),
     ]
-    found = following(events, 100.0, 200.0, names=("T1", "Bett [°C]"))
+    found = following(events, 100.0, 200.0, names={1: "T1", 2: "Bett [°C]"})
     assert found.states["OFF"] == pytest.approx(0.8)
     assert found.why == "held too long: the level of sensor 2 (Bett [°C]) by 2.0 K has changed"
+
+
+@pytest.mark.parametrize(
+    ("reason", "advice"),
+    [
+        ("no link to the CNC", "play it again at --speed 150"),
+        ("no valid reference: the NC program has not passed its positioning", "play it again at --speed 150"),
+        ("no valid reference: the NC program has not passed its positioning", "near 0 degC, as rises since the start"),
+        ("confidence 0.10 is below 0.70 (outside the domain)", "record 2 runs like it"),
+        ("the level of sensor 2 by 2.0 K has changed", "look at that sensor in the recording"),
+    ],
+)
+def test_a_replay_that_was_not_followed_says_what_to_do(reason: str, advice: str) -> None:
+    found = following([event(50.0, f"ACTIVE -> HOLD: {reason}")], 100.0, 200.0)
+    assert advice in found.advice(600.0)
+    followed = following([event(50.0, "ARMED -> ACTIVE: following the estimate")], 100.0, 200.0)
+    assert followed.advice(600.0) == ""
 
 
 def made(degc: FloatArray, sample_s: float) -> Recording:

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from control_rig import SENSOR_IDS
+from small_model import model
 
 from config.loader import parse_yaml_model
 from config.schema.compensation import AxisConfig
 from daemon.simulation.processes import write_simulation_configuration
-from daemon.simulation.replaying import axis_names, map_of, replay_machine
+from daemon.simulation.replaying import axis_names, map_of, modelled, replay_machine
 from drivers.sim.machine.recorded import LEAD_IN_S, RecordedMachine
 from models.recordings.dataset import Recording
 
@@ -90,3 +92,24 @@ def test_a_recording_without_usual_names_is_refused_with_its_file_and_what_to_do
     (path := tmp_path / "tag.csv").write_text("Zeit;Temp\n0;1\n", encoding="utf-8")
     with pytest.raises(ValueError, match=r"tag\.csv: time: no column carries a usual name .*--map-out map\.yaml"):
         map_of(path, None)
+
+
+def test_sensors_have_the_numbers_that_their_columns_say(tmp_path: Path) -> None:
+    """As `toolpoint export --what recording` writes them: a model keeps the IDs of the machine."""
+    names = tuple(f"T{number}" for number in SENSOR_IDS)
+    degc = np.full((20, len(names)), 20.0)
+    numbered = replace(
+        recording(), temperature_names=names, temperatures_degc=degc, displacement_names=("x", "Z1", "y", "Y1")
+    )
+    path = tmp_path / "model.json"
+    path.write_text(model(sensor_names=names).to_json(), encoding="utf-8")
+    played = modelled(path, numbered)
+    assert played.displacement_names == ("Z1", "Y1"), "what the model does not estimate is not played"
+    machine = replay_machine(played, path, tmp_path / "commissioning.json")
+    write_simulation_configuration(machine, tmp_path, speed=100.0)
+    assert [sensor["id"] for sensor in machine["temperatures"]["sensors"]] == list(SENSOR_IDS)
+    with pytest.raises(ValueError, match="the model estimates Y1, Z1, and the recording has x"):
+        modelled(path, numbered.with_channels(("x",)))
+    with pytest.raises(ValueError, match=f"sensor {SENSOR_IDS[0]} of the model is"):
+        path.write_text(model(sensor_names=(*names[1:], names[0])).to_json(), encoding="utf-8")
+        modelled(path, numbered)

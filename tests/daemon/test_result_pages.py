@@ -1,5 +1,6 @@
 """The pages of evaluations and replays: complete in one file, measured and estimated on one scale, names escaped."""
 
+import html as markup
 import json
 import re
 from pathlib import Path
@@ -68,6 +69,11 @@ def test_an_evaluation_draws_itself_as_one_file_that_loads_nothing(tmp_path: Pat
     assert page.count("Plotly.newPlot") >= 1 and "cycle 4" in text
     assert "left on line, by confidence" in text
     assert f"{found['mean']['online']['reduction_rmse']:.1%}" in text
+    said = [line.split(": ", 1)[1] for line in result.stderr.splitlines() if line.startswith(("next:", "warning:"))]
+    read = markup.unescape(re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL))
+    assert found["advice"] and set(found["advice"]) <= set(said)
+    assert [sentence for sentence in said if sentence not in read] == [], "the page advises as the terminal does"
+    assert "false alarms: " in read
 
 
 def test_a_replay_tells_the_model_and_what_was_left() -> None:
@@ -77,8 +83,11 @@ def test_a_replay_tells_the_model_and_what_was_left() -> None:
         "cycles": {"expected": 12, "received": 11},
         "writes": {"sent": 9, "verified": 8},
         "channels": {NAME: {"without": ends, "with": ends}},
+        "warnings": ["the output followed the estimate (ACTIVE) for 40% of the time played"],
+        "advice": ["record 2 runs like it"],
     }
     page = replay_page("Replay of day.csv", found, {"model": "ridge-1", "trained on": "a.csv"}, [NAME], played)
     text = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
     assert "ridge-1" in text and "11 of 12 cycles" in text and "8 of 9 writes" in text and "3.25" in text
     assert "<Z>" not in text
+    assert "for 40% of the time" in text and "record 2 runs like it" in text

@@ -14,6 +14,7 @@ from config.schema.service import HistoryConfig
 from config.schema.sinks import SinkConfig
 from daemon.history import HistoryReader, HistoryWriter, housekeeping
 from daemon.history.cursors import Cursor, cursor_path
+from daemon.sinks.contract import SinkError
 from daemon.sinks.outbox import STREAMS, Outbox
 from daemon.sinks.running import SinkRunner
 
@@ -24,6 +25,8 @@ PAGE = Path(__file__).parents[2] / "docs/how-to/send-history-to-a-plant.md"
 DAY_S = 86_400.0
 MIDNIGHT_S = EPOCH_S - EPOCH_S % DAY_S
 MACHINE = "mill/7 north"
+SENSORS = 3
+"""On the line that is filled."""
 
 
 def fill(store: Path, start_s: float, hours: float) -> None:
@@ -63,9 +66,13 @@ def send(store: Path, folder: Path, now_s: float, kind: type[ParquetSink] = Parq
 
 
 def files(folder: Path) -> dict[str, int]:
-    """File -> rows."""
+    """File -> records: a cycle of temperatures has a row per sensor."""
     found = sorted(path for path in folder.rglob("*") if path.is_file())
-    return {str(path.relative_to(folder)): parquet.read_metadata(path).num_rows for path in found}
+    return {
+        str(path.relative_to(folder)): parquet.read_metadata(path).num_rows
+        // (SENSORS if path.parts[-3] == "temperatures" else 1)
+        for path in found
+    }
 
 
 def test_a_day_becomes_a_file_of_each_kind_when_it_is_over(tmp_path: Path) -> None:
@@ -81,12 +88,17 @@ def test_a_day_becomes_a_file_of_each_kind_when_it_is_over(tmp_path: Path) -> No
     place = "machine=mill%2F7 north/2025-10-09.parquet"
     expected = {f"{kind}/{place}": 144 for kind in kinds} | {f"references/{place}": 1}
     assert files(folder) == dict(sorted(expected.items()))
-    table = parquet.read_table(folder / "temperatures" / place)
+    values = parquet.read_table(folder / "temperatures" / place).to_pylist()
     with HistoryReader(store) as reader:
         history = reader.temperatures(None, MIDNIGHT_S, MIDNIGHT_S + DAY_S)
-    for column, sensor_id in enumerate(history.sensor_ids):
-        got = np.array(table[f"t{sensor_id}_degc"].to_pylist(), dtype=float)
-        assert np.array_equal(got, history.degc[:, column], equal_nan=True), "no bit is lost"
+    for sensor_id in history.sensor_ids:
+        own = [row for row in values if row["sensor_id"] == sensor_id]
+        times_s, degc, _ = history.series(sensor_id)
+        assert [row["time_utc"].timestamp() for row in own] == times_s.tolist()
+        got = np.array([row["degc"] for row in own], dtype=float)
+        assert np.array_equal(got, degc, equal_nan=True), "no bit is lost"
+    assert {(row["line"], row["quality"], row["reason"]) for row in values} == {("spindle", "good", "none")}
+    assert [row["cycle"] for row in values if row["sensor_id"] == 12] == list(range(1, 145))
     assert send(store, folder, MIDNIGHT_S + DAY_S + 7300.0).sent_rows == cursor.sent_rows, "nothing is written twice"
 
 
@@ -154,6 +166,62 @@ def test_a_place_is_a_folder_from_the_root_or_a_bucket(folder: str) -> None:
         SinkConfig.model_validate({"name": "files", "driver": "parquet", "parquet": {"folder": folder}})
 
 
+@pytest.mark.wires
+def test_an_object_store_that_is_killed_under_load_has_every_file_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The server dies while a file goes to it, and once the sender before it has noted that one is there."""
+    pytest.importorskip("moto", reason="moto is not installed")
+    from object_store import BUCKET, ObjectStore, wire
+
+    for name, value in {"ACCESS_KEY_ID": "toolpoint", "SECRET_ACCESS_KEY": "x", "EC2_METADATA_DISABLED": "1"}.items():
+        monkeypatch.setenv(f"AWS_{name}", value)
+    path, stop = tmp_path / "h.sqlite", threading.Event()
+    fill(path, MIDNIGHT_S, 24.0)
+    server, problems, deaths = ObjectStore(), [], []
+    killed = threading.Event()
+
+    class Dying(ParquetSink):
+        def _write(self, outbox, stream, day):
+            rows = super()._write(outbox, stream, day)
+            if stream.name == "estimates" and not deaths:
+                deaths.append(day)
+                raise SinkError("the sender dies before it has noted the acknowledgement")
+            return rows
+
+    def sink(section: SinkConfig, machine: str) -> ParquetSink:
+        return Dying(section, machine, now_utc_s=lambda: MIDNIGHT_S + 2 * DAY_S)
+
+    def before(piece: bytes) -> None:
+        if b"/writes/" in piece and piece.startswith(b"PUT ") and not killed.is_set():
+            server.kill()
+            killed.set()
+
+    def wait(_duration_s: float) -> None:
+        problems.append(runner.cursor.problem)
+        if not problems[-1] or len(problems) > 20:
+            stop.set()
+        elif "dies" not in problems[-1]:
+            server.start()
+
+    server.start()
+    try:
+        with wire(server.port, before) as port:
+            bucket = f"s3://{BUCKET}/history?region=us-east-1&scheme=http&endpoint_override=127.0.0.1:{port}"
+            section = {"name": "bucket", "driver": "parquet", "parquet": {"folder": bucket}}
+            runner = SinkRunner(SinkConfig.model_validate(section), path, MACHINE, stop, sink, wait=wait)
+            runner.run()
+        found = server.objects()
+    finally:
+        server.end()
+    assert killed.is_set() and deaths and problems[-1] == ""
+    assert any("writes/machine=mill%2F7 north/2025-10-09.parquet cannot be written" in each for each in problems)
+    assert send(path, tmp_path / "files", MIDNIGHT_S + 2 * DAY_S).problem == ""
+    folder = tmp_path / "files"
+    expected = {f"history/{name}": (folder / name).read_bytes() for name in files(folder)}
+    assert found == expected and len(found) == 7
+
+
 def test_the_examples_of_the_page_run_on_the_files(tmp_path: Path) -> None:
     duckdb = pytest.importorskip("duckdb", reason="duckdb is not installed")
     store, folder = tmp_path / "h.sqlite", tmp_path / "history"
@@ -163,14 +231,19 @@ def test_the_examples_of_the_page_run_on_the_files(tmp_path: Path) -> None:
     (block,) = re.findall(r"```sql\n(.*?)```", section, re.S)
     shapes = {
         "/srv/plant/history": str(folder),
-        "t61": "t13",
+        "sensor_id = 61": "sensor_id = 13",
+        "61, 62": "13, 12",
         "my machining centre": MACHINE,
         "2026-01-31": "2025-10-09",
     }
     for shown, here in shapes.items():
         block = block.replace(shown, here)
     queries = [query for query in block.split(";\n") if query.strip()]
-    assert len(queries) == 3
+    assert len(queries) == 4
+    by_sensor = np.ma.filled(duckdb.sql(queries[2]).fetchnumpy()["13"], np.nan)
+    with HistoryReader(store) as reader:
+        history = reader.temperatures([13], MIDNIGHT_S, MIDNIGHT_S + DAY_S)
+    assert np.array_equal(by_sensor, history.degc[:, 0], equal_nan=True), "exactly what the store has"
     for query in queries:
         rows = duckdb.sql(query).fetchall()
         assert rows and all(value is not None for value in rows[0]), query

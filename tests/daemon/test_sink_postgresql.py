@@ -28,7 +28,7 @@ from config.schema.sinks import PostgresqlConfig, SinkConfig
 from daemon.history import HistoryReader, HistoryWriter, housekeeping
 from daemon.history.cursors import Cursor, cursor_path
 from daemon.sinks.contract import SinkError
-from daemon.sinks.database import Database, authorities, scripts
+from daemon.sinks.database import PARTITIONED, Database, authorities, scripts
 from daemon.sinks.outbox import STREAMS
 from daemon.sinks.postgresql import PostgresqlSink
 from daemon.sinks.postgresql_refusals import refusal
@@ -247,6 +247,31 @@ def test_wrong_clocks_are_stored_beside_the_months(server: Server, tmp_path: Pat
     assert server.ask("SELECT count(*) FROM toolpoint.cnc_2025_10") == [(12,)]
 
 
+@pytest.mark.parametrize("fails", [False, True])
+def test_hypertables_take_the_place_of_partitions_where_the_database_makes_them(
+    server: Server, tmp_path: Path, fails: bool
+) -> None:
+    """A function stands for TimescaleDB, which Debian does not have: what it is called with, and that rows go in."""
+    store, body = tmp_path / "h.sqlite", "INSERT INTO public.made VALUES ($1, $2, $3)"
+    fill(store, hours=1.0)
+    with server.connection() as connection:
+        connection.execute("CREATE TABLE public.made (relation regclass, named name, chunk interval)")
+        connection.execute(
+            "CREATE FUNCTION public.create_hypertable(relation regclass, time_column_name name, chunk_time_interval "
+            f"interval, create_default_indexes boolean) RETURNS void LANGUAGE sql AS '{body + '; SELECT 1/0' * fails}'"
+        )
+    try:
+        assert [send(server, tmp_path, store).problem for _ in range(2)] == ["", ""]
+        made = {row[0].removeprefix("toolpoint.") for row in server.ask("SELECT relation::text FROM public.made")}
+        (kinds,) = server.ask("SELECT array_agg(DISTINCT relkind::text) FROM pg_class WHERE relname = 'temperatures'")
+        assert (made, kinds[0]) == ((set(), ["p"]) if fails else (set(PARTITIONED), ["r"]))
+        assert counts(server)["temperatures"] == 24 and counts(server)["cnc"] == 12
+    finally:
+        server.empty()
+        with server.connection() as connection:
+            connection.execute("DROP FUNCTION public.create_hypertable; DROP TABLE public.made")
+
+
 def test_two_machines_make_the_schema_at_the_same_time(server: Server, tmp_path: Path) -> None:
     config, problems = section(server, tmp_path), []
 
@@ -341,7 +366,7 @@ def test_a_newer_schema_is_refused_and_left_alone(server: Server, tmp_path: Path
     before = counts(server)
     fill(store, start_s=EPOCH_S + 7200.0, hours=0.5)
     cursor = send(server, tmp_path, store)
-    assert "version 99, this version of toolpoint knows up to 2" in cursor.problem
+    assert "version 99, this version of toolpoint knows up to 3" in cursor.problem
     assert counts(server) == before
 
 

@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 from control_rig import HandClock, Rig, record_for, running
 from memory_cnc import MemoryNc
-from sloped_machine import FARTHEST_M, PIVOT_MM, SLOPE, TRAVEL_MM, Z, configured, content, sloped
+from sloped_machine import FARTHEST_M, PIVOT_MM, SLOPE, TRAVEL_MM, Z, configured, content, proved, sloped
 from small_model import model
 
-from config.records.commissioning import CommissionedAxis, CommissionedSlope, commissioning_text
+from config.records.commissioning import commissioning_text
 from daemon.cnc.limits import output_limits
 from daemon.commissioning.initialising import CommissioningRefusedError
 from daemon.commissioning.slope import positions_of, slope_to_write
-from daemon.model_release.gate import gate_inhibit, slope_inhibit
+from daemon.model_release.gate import slope_inhibit
+from daemon.model_release.release_checks import gate_inhibit
 from daemon.monitor.shdr import ShdrAdapter
 from daemon.monitor.status import StatusBoard
 from daemon.monitor.web.estimate import estimate_document
@@ -56,10 +57,25 @@ def axes_of(content: dict[str, Any]) -> dict[str, Any]:
         (lambda c: c["cnc"]["guard"]["axes"].update(z_slope={"letter": "Z", "number": 3}), "a slope acts on the axis"),
         (
             lambda c: (
-                c["cnc"].update(guard={}),
+                c["cnc"].update(guard={}, driver="haas", haas={"host": "127.0.0.1"}),
+                c["cnc"].pop("opcua"),
+            ),
+            "only a SINUMERIK, a FANUC and LinuxCNC take a slope",
+        ),
+        (
+            lambda c: (
+                c["cnc"].update(guard={"memory": 994}),
                 c["cnc"]["opcua"].update(preset="fanuc", namespace_uri="urn:a:b"),
             ),
-            "only a SINUMERIK takes a slope",
+            "it needs #994 to #1001",
+        ),
+        (
+            lambda c: (
+                c["cnc"].update(guard={}),
+                c["cnc"]["opcua"].update(preset="fanuc", namespace_uri="urn:a:b"),
+                c["cnc"]["macros"]["writable"].append(597),
+            ),
+            "it needs #590 to #597",
         ),
         (
             lambda c: axes_of(c)["z_slope"].update(tool_term={"length_mm": 100.0, "temperatures": {"A": 1.0}}),
@@ -100,13 +116,6 @@ def test_a_model_s_slope_goes_to_a_slope_about_the_same_pivot_only(tmp_path: Pat
         assert words in gate_inhibit(each, configuration)
 
 
-def proved(**slope: Any) -> dict[str, CommissionedAxis]:
-    """Return the proof of the offset, and of the slope as it was seen."""
-    axis = CommissionedAxis(sign=1, scale=1.0, written_um=5.0, measured_um=5.0)
-    seen = CommissionedSlope(**({"of": "z", "pivot_mm": PIVOT_MM, "positions_mm": TRAVEL_MM} | slope))
-    return {"z": axis, "z_slope": axis.model_copy(update={"slope": seen})}
-
-
 def test_a_record_says_which_slope_was_seen_and_one_without_says_nothing_of_slopes(tmp_path: Path) -> None:
     text = commissioning_text(record_for(sloped(tmp_path), axes=proved()))
     assert '"positions_mm"' in text and text.count('"slope"') == 1
@@ -135,9 +144,13 @@ def test_a_slope_that_nobody_has_seen_is_not_enabled(tmp_path: Path, axes: Any, 
     asyncio.run(main())
 
 
-def a_rig(directory: Path, axes: Any = None) -> Rig:
-    """The control task at the simulated SINUMERIK."""
-    configuration, clock = sloped(directory), HandClock()
+def a_rig(directory: Path, axes: Any = None, *, fanuc: bool = False) -> Rig:
+    """The control task at the simulated SINUMERIK, or FANUC."""
+    given = content(directory)
+    if fanuc:
+        given["cnc"]["guard"] = {"increment_mm": 0.0001}
+        given["cnc"]["opcua"].update(preset="fanuc", namespace_uri="urn:a:b")
+    configuration, clock = configured(given), HandClock()
     record = record_for(configuration, axes=proved() if axes is None else axes)
     return Rig(configuration, MemoryNc(configuration, clock), clock, record=record)
 
@@ -181,6 +194,61 @@ def test_a_slope_is_requested_limited_written_verified_and_applied_beside_the_of
     asyncio.run(main())
 
 
+def test_at_a_fanuc_the_offset_is_what_the_place_needs_that_the_axis_stands_at_and_none_is_left(tmp_path: Path) -> None:
+    async def main() -> None:
+        rig = a_rig(tmp_path, fanuc=True)
+        control = rig.nc.guard.control
+        async with running(rig):
+            await rig.turn()
+            rig.set_reference()
+            await rig.switch_on("z", "z_slope")
+            for turn in range(200):
+                control.positions_mm[2] = (0.0, 0.0, 500.0, 130.0)[turn % 4] if turn < 160 else 500.0
+                before_mm = control.external_mm[2]
+                await rig.turn(rig.estimate(0.0, 0.0, **errors(10.0, 60.0)))
+                assert abs(control.external_mm[2] - before_mm) * 1000.0 <= Z["step_um"] + 1e-3
+                assert abs(control.external_mm[2]) * 1000.0 <= Z["absolute_bound_um"]
+            assert rig.state == "ACTIVE"
+            assert control.external_mm[2] * 1000.0 == pytest.approx(-10.0 - 0.25 * 60.0)
+            control.positions_mm[2] = PIVOT_MM
+            await rig.follow(0.0, 0.0, 10, **errors(10.0, 60.0))
+            assert rig.applied == {"z": pytest.approx(-10.0), "z_slope": pytest.approx(-60.0)}
+            control.positions_mm[2] = 0.0
+            rig.control.request(OperatorRequest(zero=True), "a person")
+            await rig.follow(0.0, 0.0, 200, **errors(90.0, 900.0))
+            assert rig.state == "OFF" and control.external_mm[2] == pytest.approx(0.0, abs=1e-9)
+
+    asyncio.run(main())
+
+
+def test_at_a_fanuc_the_second_call_far_from_the_one_before_or_outside_the_travel_is_an_alarm_in_words(
+    tmp_path: Path,
+) -> None:
+    async def main() -> None:
+        rig = a_rig(tmp_path, fanuc=True)
+        control, ends = rig.nc.guard.control, (0.0, 500.0)
+        async with running(rig):
+            await rig.turn()
+            rig.set_reference()
+            await rig.switch_on("z", "z_slope")
+            control.positions_mm[2] = PIVOT_MM
+            await rig.follow(0.0, 0.0, 200, **errors(10.0, 100.0))
+            told = []
+            for turn in range(12):
+                control.positions_mm[2] = ends[turn % 2]
+                await rig.follow(0.0, 0.0, 1, **errors(10.0, 100.0))
+                told.append(rig.control.journal.alarm)
+            assert rig.state == "ACTIVE" and told[0] == "" and told[-1].startswith("the guard applies the block, but a")
+            control.positions_mm[2] = 510.0
+            await rig.follow(0.0, 0.0, 6, **errors(10.0, 100.0))
+            assert rig.control.journal.alarm.startswith("the guard applies nothing of the block, of any axis: one with")
+            control.positions_mm[2] = PIVOT_MM
+            await rig.follow(0.0, 0.0, 20, **errors(10.0, 100.0))
+            assert rig.control.journal.alarm == "" and rig.applied["z_slope"] == pytest.approx(-100.0)
+
+    asyncio.run(main())
+
+
 def test_a_slope_that_nobody_enabled_stays_at_zero_while_the_offset_is_followed(tmp_path: Path) -> None:
     async def main() -> None:
         rig = a_rig(tmp_path)
@@ -210,10 +278,47 @@ def test_a_foreign_value_in_the_slope_s_macro_is_a_fault_and_moves_nothing(tmp_p
     asyncio.run(main())
 
 
+def test_the_monitor_judges_what_is_measured_where_the_axis_stands_or_says_why_not(tmp_path: Path) -> None:
+    """-20 um at the pivot and 80 um/m: at 480 mm 1.6 um less are left than the pivot's estimate says."""
+    given = content(tmp_path)
+    given["cnc"]["axis_positions"] = {"Z_mm": {"axis": "Z", "travel_mm": TRAVEL_MM, "rapid_mm_per_min": 30000.0}}
+    rig = a_rig(tmp_path)
+    board = rig.snapshots
+    board.thermal = replace(board.thermal, estimate=rig.estimate(0.0, 0.0, **errors(-20.0, 80.0)))
+    applied = np.array([15.0, -60.0])
+    board.control = replace(board.control, applied_um=applied, baseline_um=np.array([0.0, 0.0]))
+    along_m = 0.23
+    true_um = -20.0 + 80.0 * along_m + 0.5
+    then_um, now_um = {"Z1": 100.0}, {"Z1": 100.0 + true_um + applied[0] + applied[1] * along_m}
+
+    def z(then_mm: dict[str, float], now_mm: dict[str, float], **changes: Any) -> dict[str, Any]:
+        configuration = configured(given | changes)
+        found = estimate_document(configuration, board, then_um, now_um, then_mm, now_mm)["channels"]["Z1"]
+        assert (found["thermal_error_um"], found["pivot_mm"]) == (-20.0, PIVOT_MM)
+        return dict(found)
+
+    found = z({"z": 479.0}, {"z": 480.0})
+    assert found["measured_um"] == pytest.approx(true_um) and found["residual_um"] == pytest.approx(0.5)
+    assert (found["position_mm"], found["not_judged"]) == (480.0, "")
+    found = z({"z": 20.0}, {"z": 480.0})
+    assert (
+        found["residual_um"] is None
+        and "stood at 20 mm at the reference and stands at 480 mm now" in found["not_judged"]
+    )
+    found = z({}, {})
+    assert found["residual_um"] is None and found["not_judged"].endswith("reference the axis")
+    unread = {key: value for key, value in given["cnc"].items() if key != "axis_positions"}
+    assert "add an entry" in z({}, {}, cnc=unread)["not_judged"]
+    fanuc = given["cnc"] | {"guard": {"increment_mm": 0.0001}}
+    fanuc["opcua"] = fanuc["opcua"] | {"preset": "fanuc", "namespace_uri": "urn:a:b"}
+    assert "where the guard was called last" in z({"z": 480.0}, {"z": 480.0}, cnc=fanuc)["not_judged"]
+
+
 def test_status_and_monitor_say_that_a_slope_is_in_um_per_m_and_say_nothing_of_others(tmp_path: Path) -> None:
     rig = a_rig(tmp_path)
     shown = StatusBoard(rig.configuration, rig.clock, rig.snapshots, rig.telemetry.picture).picture()["axes"]
     assert shown["z_slope"]["unit"] == "um/m" and "unit" not in shown["z"]
+    assert shown["z"]["pivot_mm"] == PIVOT_MM and "pivot_mm" not in shown["z_slope"]
     thermal = replace(rig.snapshots.thermal, estimate=rig.estimate(0.0, 0.0, **errors(1.0, 40.0)))
     rig.snapshots.thermal = thermal
     channels = estimate_document(rig.configuration, rig.snapshots, {}, {})["channels"]

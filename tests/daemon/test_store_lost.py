@@ -4,6 +4,8 @@ import fcntl
 import os
 import shutil
 import sqlite3
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -132,6 +134,34 @@ def test_a_store_that_was_moved_is_whole_where_it_is_now(watched: Watched) -> No
     move(watched.store)
     watched.cycles(4, 4)
     assert numbers_in(watched.store.with_name("elsewhere.sqlite"))[:3] == [1, 2, 3]
+
+
+READER = """
+import sqlite3, sys
+connection = sqlite3.connect(f"file:{sys.argv[1]}?mode=ro", uri=True, isolation_level=None)
+for _ in sys.stdin:
+    (count,) = connection.execute("SELECT count(*) FROM temperature_cycles").fetchone()
+    print(count, *connection.execute("PRAGMA integrity_check").fetchone(), flush=True)
+"""
+
+
+def test_who_still_reads_a_store_that_was_moved_sees_nothing_of_the_new_one(watched: Watched) -> None:
+    watched.cycles(4, 100)
+    arguments = [sys.executable, "-c", READER, str(watched.store)]
+    with subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin is not None and process.stdout is not None
+
+        def ask() -> str:
+            process.stdin.write("\n")
+            process.stdin.flush()
+            return process.stdout.readline().strip()
+
+        assert ask() == "100 ok"
+        move(watched.store)
+        watched.cycles(101, 120)
+        assert ask() == "100 ok"
+        process.stdin.close()
+    assert numbers_in(watched.store) == list(range(101, 121))
 
 
 def test_a_write_of_the_new_store_has_the_next_number(watched: Watched) -> None:

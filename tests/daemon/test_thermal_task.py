@@ -285,6 +285,17 @@ async def test_a_sensor_that_jumps_although_it_was_heard_all_the_time_is_doubted
     assert task.estimates[-1].thermal_error_um == pytest.approx(0.0, abs=0.01)
 
 
+@pytest.mark.parametrize("jump_k", [4.0, 8.0, -8.0])
+async def test_a_whole_line_that_jumps_although_it_was_heard_all_the_time_is_doubted(task, jump_k):
+    """8 K took so long to be accepted that the sensors seemed away, and explained each other: 16 um in silence."""
+    await task.minutes(5)
+    await task.ask()
+    await task.minutes(4, spindle=20.0 + jump_k)
+    assert task.estimates[-1].confidence == 0.0 and "the level of sensor 1" in task.estimates[-1].inhibit
+    await task.minutes(4)
+    assert task.estimates[-1].confidence == 1.0 and task.estimates[-1].thermal_error_um == pytest.approx([0.0])
+
+
 async def test_a_sensor_that_was_missing_at_the_reference_does_not_count_from_a_doubted_level(task):
     await task.minutes(2)
     await task.minutes(2, spindle=[np.nan, 20.0, 20.0])
@@ -354,6 +365,50 @@ async def test_what_a_sensor_was_imputed_with_holds_after_a_restart_when_it_has_
         assert again.estimates[-1].imputed == () and "one that is back may be" in again.estimates[-1].inhibit
     finally:
         again.history.close()
+
+
+async def test_a_line_that_answers_from_memory_holds_the_output_and_sets_no_reference(task):
+    """Numbers that stand move nothing, while the machine goes on: 8 K at 3 um/K would be 24 um in silence."""
+    noise = np.random.default_rng(5)
+
+    async def heard(minutes):
+        for _ in range(round(minutes * 6)):
+            await task.minutes(1 / 6, *(np.round(20.0 + noise.normal(0.0, 0.03, n), 2) for n in (3, 2)))
+
+    await heard(31)
+    await task.ask()
+    await heard(1)
+    assert task.estimates[-1].confidence == 1.0
+    await task.minutes(4.5, spindle=[20.01, 20.0, 20.02])
+    assert task.estimates[-1].confidence == 1.0, "a few readings alike prove nothing"
+    await task.minutes(1, spindle=[20.01, 20.0, 20.02])
+    assert task.estimates[-1].confidence == 0.0
+    assert "spindle has sent the very same numbers for 5 min" in task.estimates[-1].inhibit
+    await task.ask("r2")
+    refused = [item for item in task.delivered if isinstance(item, ReferenceRefused)]
+    assert len(task.references) == 1 and "the very same numbers" in refused[-1].why
+    await heard(1)
+    assert task.estimates[-1].confidence == 1.0
+
+
+async def test_after_an_outage_as_long_as_is_taken_up_a_sensor_at_another_level_does_not_count_as_before(tmp_path):
+    """A sensor that was exchanged meanwhile: believed as it came, 7 K at 2 um/K were 14 um with confidence 1."""
+    of_rig = machine(tmp_path)
+    reference = of_rig.compensation.reference.model_copy(update={"max_outage_s": 3600.0})
+    compensation = of_rig.compensation.model_copy(update={"reference": reference})
+    task = Task(tmp_path, model(), configuration=of_rig.model_copy(update={"compensation": compensation}))
+    task.history.start()
+    await task.minutes(5)
+    await task.ask()
+    await task.minutes(1)
+    task.clock.monotonic_s += 3000.0
+    again = task.restarted(model())
+    await again.task.recall()
+    await again.task._take(task.taken_up(task.references[0]))
+    await again.minutes(4, spindle=[27.0, 20.0, 20.0])
+    estimate = again.estimates[-1]
+    assert estimate.confidence == 0.0 or estimate.thermal_error_um == pytest.approx([0.0], abs=1.0)
+    again.history.close()
 
 
 async def test_a_store_that_cannot_be_read_at_the_start_ends_no_task(task):

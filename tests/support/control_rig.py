@@ -46,7 +46,7 @@ from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.sim.nc.safe_point import GUARD_VERSION
 from models.control.reference import request
 from models.control.state import OperatorRequest
-from models.records import Instant, Reference, ThermalErrorEstimate, Trace
+from models.records import CncSample, Instant, Reference, ThermalErrorEstimate, Trace
 
 SENSOR_IDS = (1, 2, 3, 11, 12)
 LINES = {"spindle": ["1-3"], "column": ["11-12"]}
@@ -166,6 +166,7 @@ class Rig:
             commissioned_factors(record, axes),
             guard=configuration.cnc.guard,
             also_polled=positioning_macros(configuration),
+            pivots_mm=configuration.compensation.pivots_mm,
         )
         self.last_block = WriteAheadRecord.beside(configuration.history.path)
         loaded = load_resume_point(configuration, self.history, clock, self.last_block)
@@ -186,10 +187,11 @@ class Rig:
                 interlocks=self.interlocks,
                 limits=output_limits(configuration, commissioned_factors(record, axes)),
                 resume=self.resume,
+                um_per_unit=self.block.um_per_unit,
                 model_id=model_id,
                 tell_thermal=self.asked.append,
                 on_tick=lambda: self.on_tick(),  # noqa: PLW0108 - tests put another in its place
-                on_sample=lambda _sample: None,
+                on_sample=lambda sample: self.on_sample(sample),  # noqa: PLW0108 - tests put another in its place
                 on_change=self._publish,
                 macro_clients=(self.temperature, self.speed),
             )
@@ -219,6 +221,9 @@ class Rig:
     def on_tick(self) -> None:
         """What the composition root does at every tick."""
         self.ticks += 1
+
+    def on_sample(self, _sample: CncSample) -> None:
+        """What the composition root does with every poll; of a rig without a thermal task nothing."""
 
     def _open_session(self, cnc: Any, last: CncSession | None) -> CncSession:
         known = last.known if last is not None else self.resume.known_macros

@@ -39,7 +39,7 @@ class MemoryNc:
         """Macro variable whose writing is refused for good."""
         self.forgets: int | None = None
         """Macro variable that takes a write and keeps its old value."""
-        self.breaks: Exception | None = None
+        self.breaks: BaseException | None = None
         """What the next call raises."""
         self.after_read: Callable[[Sequence[int]], None] | None = None
         """Called with what was asked for when a read of macros has been answered."""

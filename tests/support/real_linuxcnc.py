@@ -101,7 +101,8 @@ for line in sys.stdin:
             while seen < 5:
                 stat.poll()
                 idle = stat.interp_state == linuxcnc.INTERP_IDLE and stat.exec_state == linuxcnc.EXEC_DONE
-                still = stat.inpos and not stat.queue and stat.position[:3] == stat.actual_position[:3]
+                follows = max(abs(a - b) for a, b in zip(stat.position[:3], stat.actual_position[:3])) < 1e-9
+                still = stat.inpos and not stat.queue and follows
                 seen = seen + 1 if idle and still else 0
                 time.sleep(0.02)
             done.append(list(stat.actual_position[:3]))

@@ -8,6 +8,7 @@ import numpy as np
 from control_rig import SENSOR_IDS
 from whole_loop import MOMENT_S, WholeLoop
 
+from config.schema import Configuration
 from drivers.latsis.cycle import CycleAssembler
 from drivers.latsis.frames import sum8
 from models.control.state import OperatorRequest
@@ -61,6 +62,8 @@ class TwinLoop:
     """In every pause the daemon dies, and starts again."""
     first: int = 0
     """Moment in which the daemon starts, before it is switched on in moment 60; the machine warms since moment 0."""
+    configuration: Configuration | None = None
+    """Another machine with the same lines."""
     loop: WholeLoop = field(init=False)
     begun_s: float = field(init=False)
     applied_um: list[FloatArray] = field(init=False, default_factory=list)
@@ -72,7 +75,7 @@ class TwinLoop:
     def __post_init__(self) -> None:
         self.directory.mkdir()
         self.rng = np.random.default_rng(self.seed)
-        self.loop = WholeLoop(self.directory, self.model)
+        self.loop = WholeLoop(self.directory, self.model, configuration=self.configuration)
         self.begun_s = self.loop.clock.monotonic_s
         temperatures = self.loop.configuration.temperatures
         lines = [line.model_copy(update={"profile": self.profile}) for line in temperatures.lines]

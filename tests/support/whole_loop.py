@@ -10,15 +10,18 @@ from memory_cnc import MemoryNc
 from nc_requests import ACKNOWLEDGE, AXIS, COUNTER, KIND, VALUE
 from thermal_rig import CHAINS
 
+from config.records.commissioning import CommissionedAxis
 from config.schema import Configuration
+from daemon.estimation.inputs import poll_of
 from daemon.estimation.task import Message, ThermalTask
 from models.quality import Quality, Reason
-from models.records import FloatArray, TemperatureCycle, Trace
+from models.records import CncSample, FloatArray, TemperatureCycle, Trace
 from models.thermal.family import ThermalModel
 from models.thermal.features import Design, Layout
 from models.thermal.linear import LinearModel
 from models.thermal.model import Domain, TestVector
 from models.thermal.solution import Solution
+from models.thermal.training.making import FIRST_POSITION_ID
 
 MOMENT_S = 10.0
 SLEW_UM_PER_MIN = 12.0
@@ -42,19 +45,23 @@ def loop_machine(directory: Path, policy: str) -> Configuration:
     return whole.model_copy(update={"compensation": compensation})
 
 
-def lagged_model(name: str) -> LinearModel:
-    """A model with lags of one and two minutes, whose states are filled after eight."""
-    sensors, rng = len(SENSOR_IDS), np.random.default_rng(5)
+def lagged_model(name: str, axis_positions: tuple[str, ...] = ()) -> LinearModel:
+    """A model with lags of one and two minutes, whose states are filled after eight; of positions about 0.05 um/mm."""
+    sensors, rng = len(SENSOR_IDS) + len(axis_positions), np.random.default_rng(5)
     layout = Layout(sensors=sensors, lags_min=(1.0, 2.0), speed_lags_min=())
     directions = np.linalg.qr(rng.normal(size=(layout.columns, layout.columns)))[0]
     weights = rng.uniform(0.0, 0.6, (layout.columns, 2))
+    highest, of_positions = np.full(sensors, 80.0), np.arange(sensors) >= len(SENSOR_IDS)
+    highest[of_positions] = 500.0
+    weights[np.tile(of_positions, 3)] *= 0.05
     features, reference = rng.normal(22.0, 2.0, layout.columns), np.full(layout.columns, 20.0)
     return LinearModel(
         model_id=name,
         kind="default",
         channels=("Y1", "Z1"),
-        sensor_ids=SENSOR_IDS,
-        sensor_names=tuple(f"t{i}" for i in SENSOR_IDS),
+        sensor_ids=(*SENSOR_IDS, *range(FIRST_POSITION_ID, FIRST_POSITION_ID + len(axis_positions))),
+        sensor_names=(*(f"t{i}" for i in SENSOR_IDS), *axis_positions),
+        axis_positions=axis_positions,
         layout=layout,
         speed_scale_rpm=1.0,
         period_min=1.0,
@@ -73,8 +80,8 @@ def lagged_model(name: str) -> LinearModel:
         domain=Domain(
             of_increments=False,
             lowest=np.full(sensors, -20.0),
-            highest=np.full(sensors, 80.0),
-            leverage_limit=1e4,
+            highest=highest,
+            leverage_limit=1e4 * 500.0 ** (2 * len(axis_positions)),
         ),
         band_um=np.full(2, np.nan),
         watch=None,
@@ -96,8 +103,17 @@ def lagged_model(name: str) -> LinearModel:
 class WholeLoop(Bench):
     """A machine that outlives runs of the daemon, moved on moment by moment."""
 
-    def __init__(self, directory: Path, model: ThermalModel, *, policy: str = "bumpless") -> None:
-        self.configuration = loop_machine(directory, policy)
+    def __init__(
+        self,
+        directory: Path,
+        model: ThermalModel,
+        *,
+        policy: str = "bumpless",
+        configuration: Configuration | None = None,
+        proved: dict[str, CommissionedAxis] | None = None,
+    ) -> None:
+        self.configuration = configuration or loop_machine(directory, policy)
+        self.proved = {} if proved is None else {"axes": proved}
         self.clock = HandClock()
         self.nc = MemoryNc(self.configuration, self.clock)
         for number in (COUNTER, KIND, AXIS, VALUE, ACKNOWLEDGE):
@@ -129,9 +145,14 @@ class WholeLoop(Bench):
             inbox,
             self.rig.control.deliver,
         )
+        if self.configuration.cnc.axis_positions:
+            self.rig.on_sample = self._polled  # type: ignore[method-assign]
+
+    def _polled(self, sample: CncSample) -> None:
+        self.rig.asked.append(poll_of(sample, self.rig.link.cnc))
 
     def new_rig(self) -> Rig:
-        record = record_for(self.configuration)
+        record = record_for(self.configuration, **self.proved)
         return Rig(self.configuration, self.nc, self.clock, record=record, model_id=self.model.model_id)
 
     async def end(self) -> None:
@@ -194,4 +215,4 @@ class WholeLoop(Bench):
     @property
     def applied_um(self) -> FloatArray:
         """What the NC has really taken over: its external offset without the operator's [um]."""
-        return np.array([self.nc.guard.applied_um[axis] for axis in ("x", "y", "z")])
+        return np.array([self.nc.guard.applied_um[axis] for axis in self.configuration.compensation.axes])

@@ -156,7 +156,7 @@ class Session:
         save_commissioning(record, self.directory / "commissioning.json")
         cnc, axes = self.configuration.cnc, self.configuration.compensation.axes
         (self.directory / "toolpoint.ngc").write_text(linuxcnc_text(cnc, axes, machine="mill"), encoding="ascii")
-        memory = "".join(f"{number}\t0.000000\n" for number in memory_of(cnc.guard, len(axes)))
+        memory = "".join(f"{number}\t0.000000\n" for number in memory_of(cnc.guard, axes))
         (self.directory / "mill.var").write_text(memory, encoding="ascii")
         clock = "loadrt integ names=since-start\nsetp since-start.in 1\naddf since-start servo-thread\n"
         clock += f"net since-start since-start.out => motion.analog-in-{self.pins.clock:02d}\n"

@@ -14,14 +14,19 @@ import sys
 import threading
 import time
 from collections.abc import AsyncIterator, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import history_records as make
+import numpy as np
 import pytest
-from control_rig import running
+from control_rig import HandClock, Rig, record_for, running
+from memory_cnc import MemoryNc
 from monitor_bench import PASSWORD, MonitorBench, accounts_file, free_port, monitor, parts_of
 from playwright.async_api import Browser, Page, async_playwright, expect
+from sloped_machine import TRAVEL_MM, configured, content, proved
 from speed_rig import SAFE, SpeedRig
 
 from daemon.monitor.web.serving import serve_monitor
@@ -231,6 +236,56 @@ async def test_a_fault_appears_with_its_reason_and_what_to_do(tmp_path):
         await seen.page.locator("#search").fill("another program writes")
         await expect(seen.page.locator("table.messages tbody tr").first).to_be_visible(timeout=PATIENCE_MS)
         assert (seen.said, seen.elsewhere) == ([], [])
+
+
+async def test_an_axis_with_a_slope_says_where_its_numbers_hold_and_what_is_not_judged(tmp_path):
+    given, port = content(tmp_path), free_port()
+    given["cnc"]["axis_positions"] = {"Z_mm": {"axis": "Z", "travel_mm": TRAVEL_MM, "rapid_mm_per_min": 30000.0}}
+    given["displacements"] = {
+        "file": {"path": "/srv/d.csv", "header": "t"},
+        "channels": [{"name": "Z1", "column": "Z"}],
+    }
+    given["service"]["http_port"] = port
+    configuration, clock = configured(given), HandClock()
+    rig = Rig(configuration, MemoryNc(configuration, clock), clock, record=record_for(configuration, axes=proved()))
+    said = {"channels": ("Z1", "Z1_per_m"), "thermal_error_um": np.array([-20.0, 80.0]), "band_um": np.full(2, 2.0)}
+
+    async def measured(mm: float) -> None:
+        rig.nc.positions_mm["Z_mm"] = mm
+        for _ in range(150):
+            await rig.turn(rig.estimate(0.0, 0.0, **said))
+            row = make.displacement(clock.now().utc_s, np.array([3.0]))
+            rig.history.displacement(row)
+        rig.snapshots.thermal = replace(rig.snapshots.thermal, estimate=rig.estimate(0.0, 0.0, **said))
+        await rig.history.flushed()
+
+    async with running(rig), chromium() as browser:
+        rig.nc.positions_mm["Z_mm"] = 480.0
+        await rig.turn()
+        rig.set_reference()
+        await measured(480.0)
+        serving = asyncio.Event()
+        task = asyncio.create_task(serve_monitor(parts_of(rig, configuration), serving.set))
+        await serving.wait()
+        seen = await watched(browser, f"http://127.0.0.1:{port}/")
+        await seen.open("overview")
+        await expect(seen.page.locator("#axis-z")).to_contain_text("at 250 mm", timeout=PATIENCE_MS)
+        await expect(seen.page.locator("#axis-z_slope")).to_contain_text("µm/m")
+        await expect(seen.page.locator("main")).to_contain_text("At 250 mm, the pivot of the axis' slope")
+        await seen.open("thermal-error")
+        page = seen.page.locator("main")
+        await expect(page).to_contain_text(
+            "estimated at 250 mm, the slope's pivot; measured at 480 mm", timeout=PATIENCE_MS
+        )
+        await expect(page).to_contain_text("What was measured, where the axis stood, is not drawn")
+        await measured(20.0)
+        await seen.page.reload()
+        await expect(page).to_contain_text(
+            "not judged: axis z stood at 480 mm at the reference and stands at 20 mm now"
+        )
+        assert (seen.said, seen.elsewhere) == ([], [])
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
 
 
 async def test_without_javascript_the_page_says_so_and_where_the_numbers_are(tmp_path):

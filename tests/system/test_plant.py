@@ -23,6 +23,7 @@ from config.schema.sinks import SinkConfig
 from daemon.history import HistoryWriter
 from daemon.simulation.processes import free_port
 from daemon.sinks.running import SinkRunner
+from models.records import ProbeSample
 
 FOLDER = Path(__file__).parents[2] / "systemd" / "plant"
 DASHBOARD = json.loads((FOLDER / "grafana/dashboards/fleet.json").read_text("utf-8"))
@@ -60,6 +61,18 @@ def filled(server: Server, tmp_path_factory: pytest.TempPathFactory) -> Server:
             writer.write_echoed(write_id, replace(make.trace(at_s), echoed=make.instant(at_s + 2.0)))
             writer.displacement(make.displacement(at_s, np.arange(5.0)))
             writer.event("note", f"number {k}")
+            writer.probe(
+                ProbeSample(
+                    time=make.instant(at_s + 5.0),
+                    axis="Z",
+                    deviation_um=2.0,
+                    applied_um=-6.0,
+                    thermal_error_um=6.0,
+                    reference_id="ref-1",
+                    accepted=k != 3,
+                    reason="" if k != 3 else "larger than believed",
+                )
+            )
         writer.close()
         runner = SinkRunner(config, store, name, stop, wait=lambda _duration_s, stop=stop: stop.set())
         runner.run()
@@ -93,6 +106,14 @@ def test_every_panel_shows_rows_of_both_machines(filled: Server, panel: dict) ->
     assert {name[: len(MACHINES[0])] for name in shown} == set(MACHINES)
     # Where a column is null in every row, the query asks for what there is not.
     assert [name for at, name in enumerate(names) if all(row[at] is None for row in rows)] in ([], ["person"])
+
+
+def test_a_month_of_a_model_is_what_accepted_probes_found_under_it(filled: Server) -> None:
+    found = filled.ask(
+        "SELECT axis, model_id, sum(probes)::int, max(with_um), max(without_um) FROM toolpoint.model_errors "
+        f"WHERE machine = '{MACHINES[0]}' GROUP BY 1, 2"
+    )
+    assert found == [("Z", "made-up", 9, 2.0, 8.0)]
 
 
 @pytest.mark.parametrize("variable", DASHBOARD["templating"]["list"], ids=lambda variable: variable["name"])
