@@ -211,6 +211,17 @@ def test_a_probe_is_cancelled_and_the_setting_of_a_tool_is_gone_with_the_power(b
     assert bench.twin.request_um("y") is None
 
 
+def test_a_probe_at_the_bound_is_cancelled_from_where_the_tool_is(bench: Bench) -> None:
+    """The request is beyond the bound: counted from the bound, its excess stood against the probe for ever."""
+    bound_um = bench.configuration.compensation.axes["y"].absolute_bound_um
+    bench.reference()
+    bench.warm(300.0)
+    away = 1.0 if bench.requests()[0] > 0 else -1.0
+    assert abs(bench.requests()[0]) == bound_um
+    bench.twin.probed("y", away * 2.0, away * bound_um)
+    assert bench.requests()[0] == pytest.approx(away * (bound_um - 2.0))
+
+
 def test_what_the_guard_takes_up_just_after_a_reference_is_the_baseline(bench: Bench) -> None:
     bench.reference()
     bench.twin.settled(bench.time_s + 5.0, {**APPLIED, "y": 4.5})

@@ -62,7 +62,7 @@ class CncFace:
     def connect(self) -> Answer:
         verdict = self._trouble(new=True)
         if verdict == "ok":
-            self._dropped = False
+            self._dropped, self._cut = False, None  # what would have cut the connection before cuts no other
         return verdict, self._delay_s(), None
 
     def read(self, numbers: Sequence[int]) -> Answer:
@@ -165,7 +165,7 @@ class CncFace:
             ):
                 self._modes[kind] = happening
                 self._dropped |= kind is FaultKind.KILLED_CNC
-            case Incident.CUT_WRITE:
+            case Incident.CUT_WRITE if not self._dropped:
                 self._cut = happening
             case Incident.FOREIGN_WRITE:
                 number = ours[int(which or 0) % len(ours)]

@@ -148,7 +148,7 @@ class Twin:
 
     def probed(self, name: str, deviation_um: float, applied_um: float) -> None:
         """A probe found a deviation with what is applied: it is cancelled."""
-        if (wanted := self.request_um(name)) is not None:
+        if (wanted := self._unbounded_um(name)) is not None:
             self._axes[name].offset_um += applied_um - deviation_um - wanted
 
     def forget(self, *, but_for: Collection[int] = ()) -> None:
@@ -167,14 +167,16 @@ class Twin:
 
     def request_um(self, name: str) -> float | None:
         """Return what is to be applied on an axis [um], inside the bound; None while nothing can be said."""
+        request_um, bound_um = self._unbounded_um(name), self._bounds_um[name]
+        return None if request_um is None else min(max(request_um, -bound_um), bound_um)
+
+    def _unbounded_um(self, name: str) -> float | None:
         axis = self._axes[name]
         setting = axis.tools.get(self._tool_number, axis.reference)
         if not self.known or setting is None:
             return None
         counted_um = axis.nose_um - setting.nose_um + self._tool_um(name)
-        request_um = setting.um + axis.offset_um - setting.offset_um - counted_um
-        bound_um = self._bounds_um[name]
-        return min(max(request_um, -bound_um), bound_um)
+        return setting.um + axis.offset_um - setting.offset_um - counted_um
 
     def _tool_um(self, name: str) -> float:
         """Linear expansion of the tool since its term began [um]: direction times length, coefficient and increment."""
