@@ -65,6 +65,8 @@ class ModelInUse:
         self._online = model.runtime(Machine(components=dict(zip(sensor_ids, components, strict=True))))
         self._period_s = model.period_s or PERIOD_S
         self._history = history
+        self.waits = "it was released just now"
+        """Why it does not make the estimates yet, where another does; '' when nothing stands against it."""
         give_memory_back()  # of reading the file and of preparing the model
 
     def prepare(self, now_s: float) -> None:

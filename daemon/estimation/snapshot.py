@@ -11,7 +11,8 @@ if TYPE_CHECKING:
 
 def thermal_snapshot(thermal: "ThermalTask") -> ThermalSnapshot:
     """Return what has arrived and what is estimated now."""
-    online = thermal._online
+    online, following = thermal._online, thermal._next
+    waits = f"{following.model.model_id} makes no estimates yet: {following.waits}" if following is not None else ""
     return ThermalSnapshot(
         temperatures=thermal.latest,
         estimate=thermal.latest_estimate,
@@ -19,5 +20,6 @@ def thermal_snapshot(thermal: "ThermalTask") -> ThermalSnapshot:
         cycles_received=thermal.cycles_received,
         cycles_incomplete=thermal.cycles_incomplete,
         estimates=thermal.estimates,
+        model_waits=waits,
         contributions=online.contributions() if online is not None and thermal.latest_estimate is not None else None,
     )

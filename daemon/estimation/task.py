@@ -246,7 +246,7 @@ class ThermalTask:
         self._telemetry.arrived(cycle)
         renewed = self._estimate(temperatures)
         known = (self.latest_estimate, renewed, self._cleansing, self._positions)
-        if self._next is not None and _may_go_over(self._next.model, *known):
+        if self._next is not None and not _waits_for(self._next, *known):
             self._online, self._next = self._next, None
             renewed = self._estimate(temperatures)
         if renewed is not None:
@@ -375,22 +375,34 @@ async def _turns(count: int) -> None:
         await asyncio.sleep(0)
 
 
-def _may_go_over(
-    to: ThermalModel,
+def _waits_for(
+    to: ModelInUse,
     before: ThermalErrorEstimate | None,
     renewed: ThermalErrorEstimate | None,
     cleansing: Cleansing,
     positions: NoPositions,
-) -> bool:
-    """Whether another model may go on from this estimate; the difference of the two stays with the reference."""
+) -> str:
+    """Note and return why another model does not go on from this estimate yet, '' when it may.
+
+    The difference of the two would stay with the reference.
+    """
     if before is None or renewed is None:
-        return False
-    gap_s = renewed.trace.first_byte.monotonic_s - before.trace.first_byte.monotonic_s
+        to.waits = "no estimate is made that it could go on from"
+        return to.waits
+    now_s = renewed.trace.first_byte.monotonic_s
     same = (before.reference_id, before.imputed) == (renewed.reference_id, renewed.imputed)
     trusted = renewed.in_domain and renewed.confidence >= cleansing.least
-    trusted = trusted and positions.trust(to, renewed.trace.first_byte.monotonic_s, ())[0] >= cleansing.least
-    whole = renewed.held_s == 0.0 and renewed.fading_um <= UNSURE_UM / 2
-    return same and trusted and whole and gap_s <= cleansing.window_s / 2
+    trusted = trusted and positions.trust(to.model, now_s, ())[0] >= cleansing.least
+    if not trusted:
+        to.waits = "the estimate that it would go on from is not trusted"
+    elif renewed.held_s > 0.0:
+        to.waits = f"a sensor that counts has been silent for {renewed.held_s:.0f} s"
+    elif not same or renewed.fading_um > UNSURE_UM / 2:
+        to.waits = "sensors have just left or returned, or the work was positioned"
+    else:
+        late = now_s - before.trace.first_byte.monotonic_s > cleansing.window_s / 2
+        to.waits = "no temperatures came for a while" if late else ""
+    return to.waits
 
 
 def _tool_um_per_k(configuration: Configuration) -> FloatArray:

@@ -140,6 +140,7 @@ class Documents:
         problems += [board.history.problem] if board.history.problem else []
         models = [model for model in (board.model, board.bearing_model) if model is not None]
         problems += [words for model in models for words in (model.problem, model.warning) if words]
+        problems += [board.thermal.model_waits] if board.thermal.model_waits else []
         problems += [f"{job.name}: {job.problem}" for job in board.jobs if job.problem]
         return problems
 
