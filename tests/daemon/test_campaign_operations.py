@@ -10,6 +10,8 @@ from daemon.simulation.faults.operations_check import (
     CALM_S,
     ENDED_WITHIN_S,
     SETTLED_S,
+    TAKEN_UP_AFTER_S,
+    WAITS_S,
     HeartbeatWatch,
     OperationsWatch,
     Request,
@@ -115,6 +117,16 @@ def test_a_released_model_must_estimate(bench: Bench, model: str, violated: int)
     assert bench.checked("model_taken_up") == (0, 0), "not yet, and not while it waits for states or for an estimate"
     bench.watch.round(CALM_FROM_S + 100.0, claims(model=model))
     assert bench.checked("model_taken_up") == (1, violated)
+
+
+def test_a_released_model_may_wait_for_a_while_when_the_daemon_says_why(bench: Bench) -> None:
+    bench.watch.released(CALM_FROM_S, "m2")
+    due_s = CALM_FROM_S + TAKEN_UP_AFTER_S
+    bench.watch.round(due_s + 10.0, claims(model="m1", waits="a sensor is silent"))
+    bench.watch.round(due_s + WAITS_S - 10.0, claims(model="m1", waits="a sensor is silent"))
+    assert bench.checked("model_taken_up") == (0, 0)
+    bench.watch.round(due_s + WAITS_S + 10.0, claims(model="m1", waits="a sensor is silent"))
+    assert bench.checked("model_taken_up") == (1, 1)
 
 
 @pytest.mark.parametrize(("left_out", "violated"), [((99,), 0), ((26,), 1)])

@@ -187,6 +187,7 @@ class CampaignDaemon:
             control.skill.inhibit() is not None,
             tuple(map(int, estimate.imputed)) if estimate is not None else (),
             tuple(memory.tools),
+            daemon.snapshots.thermal.model_waits,
         )
 
     def _estimated(self, control: ControlTask, memory: OutputMemory, estimate: ThermalErrorEstimate | None) -> bool:

@@ -78,6 +78,8 @@ class Claims:
     """Sensors that the estimate imputes."""
     tools: tuple[int, ...] = ()
     """Tools whose settings count."""
+    waits: str = ""
+    """Why a released model makes no estimates yet, '' when none waits."""
 
 
 class WriteWatch:

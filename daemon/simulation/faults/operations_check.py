@@ -14,7 +14,9 @@ ANSWERED_WITHIN_S = 9.0
 ENDED_WITHIN_S = 10.0
 """A reference that the CNC has shown to be over counts no longer so soon [s]."""
 TAKEN_UP_AFTER_S = 60.0
-"""A model that was released makes the estimates so soon [s]."""
+"""A model that was released makes the estimates so soon [s] ..."""
+WAITS_S = 240.0
+"""... or so much later where the daemon says why it waits: a silent sensor counts for two minutes."""
 AT_ZERO_UM = 0.06
 PROBE = 2
 CALM_S = 60.0
@@ -178,9 +180,10 @@ class OperationsWatch:
             return
         model_id, _ = self._model_due
         taken = claims.model == model_id
-        if (claims.doubtful or not claims.in_domain) and not taken:
+        waits = claims.waits and time_s < self._model_due[1] + WAITS_S
+        if (claims.doubtful or not claims.in_domain or waits) and not taken:
             return
-        what = "" if taken else f"{time_s:.1f} s: {claims.model} estimates, {model_id} was released"
+        what = "" if taken else f"{time_s:.1f} s: {claims.model} estimates, {model_id} was released; {claims.waits}"
         self._ledger.check("model_taken_up", taken, what)
         self._model_due = None
 
