@@ -66,6 +66,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "models/spindle_speed/choice.py",
         "models/spindle_speed/tuning.py",
         "models/spindle_speed/verification.py",
+        "models/stability/response.py",
     ),
     "The OPC UA server": (
         "daemon/monitor/passwords.py",

@@ -14,7 +14,14 @@ from models.records import FloatArray
 from models.stability.collocation import radius_bounds
 from models.stability.frf_modal_fit import ModalFit, fit_modes
 from models.stability.milling import Cut
-from models.stability.response import ComplexArray, ModalResponse, Mode, SampledResponse, ToolPointResponse
+from models.stability.response import (
+    ComplexArray,
+    ModalResponse,
+    Mode,
+    SampledResponse,
+    ToolPointResponse,
+    check_finite,
+)
 from models.stability.semi_discretisation import swept_radii
 
 THINNED_LINES = 250
@@ -113,8 +120,7 @@ class StabilityVerification:
         if not isinstance(response, SampledResponse):
             raise StabilityError("this kind of response has neither modes nor samples")
         samples = response.receptance
-        if not np.isfinite(samples).all():
-            raise StabilityError("the FRF holds values that are no numbers")
+        check_finite(response.frequency_hz, samples)
         if samples[:, 0, 1].any() or samples[:, 1, 0].any():
             raise StabilityError("one axis acts on the other, and such an FRF has no modes of its own here")
         found = ModalResponse(xx=self._axis(response, 0), yy=self._axis(response, 1))

@@ -13,7 +13,7 @@ import numpy as np
 
 from models.errors import StabilityError
 from models.records import FloatArray
-from models.stability.response import ComplexArray, Mode, modal_receptance
+from models.stability.response import ComplexArray, Mode, check_finite, modal_receptance
 
 MOST_PAIRS = 12
 ROUNDS = 30
@@ -62,8 +62,8 @@ def fit_modes(
 ) -> ModalFit:
     """Fit modes to a receptance.
 
-    Result: modes in ascending frequency and how well they fit. Raises StabilityError with too few samples, or when no
-    sum of up to twelve modes follows them.
+    Result: modes in ascending frequency and how well they fit. Raises StabilityError with too few samples, with one
+    that is not finite, or when no sum of up to twelve modes follows them.
 
     Parameters
     ----------
@@ -82,6 +82,7 @@ def fit_modes(
         raise StabilityError(
             f"an FRF of {len(frequency_hz)} frequencies is too short for a modal fit; give at least 16"
         )
+    check_finite(frequency_hz, receptance)
     if start is not None and (moved := _moved_fit(frequency_hz, receptance, start)) is not None:
         return moved
     most = min(MOST_PAIRS, len(frequency_hz) // 4)

@@ -15,7 +15,7 @@ from models.errors import StabilityError
 from models.records import FloatArray
 from models.stability.lobes import LobeMinimum, StabilityLobes, check_lines, check_range
 from models.stability.milling import Cut, mean_directional_matrix, tooth_passing_hz
-from models.stability.response import ComplexArray, SampledResponse, ToolPointResponse, feed_rotation
+from models.stability.response import ComplexArray, SampledResponse, ToolPointResponse, check_finite, feed_rotation
 from models.units import mm_from_m
 
 ZOOM_POINTS = 33
@@ -51,7 +51,7 @@ def zeroth_order_lobes(
     """Return the lobes between two spindle speeds.
 
     Result: the lower envelope and its exact minimum. Raises StabilityError when the range is none, the FRF does not
-    cover the tooth-passing band, or nothing can chatter.
+    cover the tooth-passing band or holds a value that is not finite, or nothing can chatter.
 
     Parameters
     ----------
@@ -107,6 +107,7 @@ def _lobes(
         warnings = check_lines(response.frequency_hz, cut.teeth, speeds[0], speeds[1])
     frequency_hz = response.frequencies_hz(tooth_passing_hz(speeds[1], cut.teeth))
     receptance = response.receptance_m_per_n(frequency_hz)
+    check_finite(frequency_hz, receptance)
     directions = []
     for feed_deg in feeds_deg:
         followed = _followed(_eigenvalues(receptance, cut, feed_deg))

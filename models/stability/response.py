@@ -34,12 +34,14 @@ class Mode:
     """b1 [s/kg]: 0 of a mode that is real."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot vibrate and die away. Raises StabilityError."""
+        """Refuse what cannot vibrate and die away, or has no finite size. Raises StabilityError."""
         if not (self.frequency_hz > 0.0 and self.damping_ratio > 0.0):
             raise StabilityError(
                 f"a mode at {self.frequency_hz:g} Hz with damping ratio {self.damping_ratio:g} does not die away; "
                 "both must be above 0"
             )
+        if not math.isfinite(self.displacement_gain_per_kg + self.velocity_gain_s_per_kg):
+            raise StabilityError(f"a mode at {self.frequency_hz:g} Hz has no finite size; correct its stiffness or fit")
 
     @property
     def angular_rad_s(self) -> float:
@@ -80,6 +82,20 @@ def modal_receptance(modes: Sequence[Mode], frequency_hz: FloatArray) -> Complex
         denominator = laplace**2 + 2.0 * mode.damping_ratio * angular * laplace + angular**2
         total += (mode.displacement_gain_per_kg + mode.velocity_gain_s_per_kg * laplace) / denominator
     return total
+
+
+def check_finite(frequency_hz: FloatArray, receptance: ComplexArray) -> None:
+    """Refuse an FRF with a value that is not finite, which lobes would take for stable to any depth.
+
+    Raises StabilityError, which names the first such frequency.
+
+    `frequency_hz`: shape (n,) [Hz]. `receptance`: first axis of length n [m/N].
+    """
+    finite = np.isfinite(receptance).reshape(len(frequency_hz), -1).all(axis=1) & np.isfinite(frequency_hz)
+    if not finite.all():
+        raise StabilityError(
+            f"the FRF holds no finite value at {frequency_hz[int(np.argmin(finite))]:g} Hz; measure it again"
+        )
 
 
 class ToolPointResponse(Protocol):

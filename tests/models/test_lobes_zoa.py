@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from models.errors import StabilityError
+from models.stability.frf_modal_fit import fit_modes
 from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
 from models.stability.milling import (
     Cut,
@@ -16,6 +17,7 @@ from models.stability.milling import (
 )
 from models.stability.response import (
     ModalResponse,
+    Mode,
     SampledResponse,
     feed_rotation,
     mode_from_mass,
@@ -67,6 +69,43 @@ def test_an_frf_gives_the_lobes_of_its_modes(cut: Cut) -> None:
     measured = zeroth_order_lobes(sampled, cut, from_rpm=5000.0, to_rpm=14000.0, points=301)
     modelled = zeroth_order_lobes(TWO, cut, from_rpm=5000.0, to_rpm=14000.0, points=301)
     assert measured.limiting_depth_mm == pytest.approx(modelled.limiting_depth_mm, rel=0.01)
+
+
+class TwoWithAHole:
+    """Modes whose receptance is not finite at some frequencies: a response of another kind than the shipped ones."""
+
+    frequencies_hz = staticmethod(TWO.frequencies_hz)
+
+    @staticmethod
+    def receptance_m_per_n(frequency_hz: np.ndarray) -> np.ndarray:
+        return TWO.receptance_m_per_n(frequency_hz) * np.where(frequency_hz > 9000.0, np.inf, 1.0)[:, None, None]
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, complex(0.0, -math.inf)])
+@pytest.mark.parametrize("place", [(0, 0), (1, 1), (0, 1)])
+def test_a_line_that_is_not_finite_is_refused_by_its_frequency(place: tuple[int, int], wrong: complex) -> None:
+    """The lobes through it were lost, and 9 of 401 speeds stable to any depth."""
+    lines = np.arange(100.0, 2500.0, 1.0)
+    receptance = TWO.receptance_m_per_n(lines)
+    receptance[550][place] = wrong
+    sampled = SampledResponse(frequency_hz=lines, receptance=receptance)
+    for lobes in (zeroth_order_lobes, lowest_over_feed_directions):
+        with pytest.raises(StabilityError, match="no finite value at 650 Hz"):
+            lobes(sampled, SLOT, from_rpm=5000.0, to_rpm=14000.0, points=401)
+    with pytest.raises(StabilityError, match="no finite value at 650 Hz"):
+        fit_modes(lines, receptance[:, place[0], place[1]])
+
+
+def test_an_infinite_frequency_and_a_hole_of_any_response_are_refused_too() -> None:
+    lines = np.append(np.arange(100.0, 2500.0, 1.0), math.inf)
+    endless = SampledResponse(frequency_hz=lines, receptance=np.ones((len(lines), 2, 2), dtype=np.complex128))
+    with pytest.raises(StabilityError, match="no finite value at inf Hz"):
+        zeroth_order_lobes(endless, SLOT, from_rpm=5000.0, to_rpm=14000.0, points=41)
+    with pytest.raises(StabilityError, match=r"no finite value at 9\d\d\d\S* Hz"):
+        zeroth_order_lobes(TwoWithAHole(), SLOT, from_rpm=5000.0, to_rpm=140000.0, points=41)
+    for gain in (math.nan, math.inf):
+        with pytest.raises(StabilityError, match="no finite size"):
+            Mode(frequency_hz=600.0, damping_ratio=0.02, displacement_gain_per_kg=gain)
 
 
 def encirclements(cut: Cut, speed_rpm: float, depth_m: float) -> int:

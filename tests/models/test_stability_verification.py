@@ -151,7 +151,10 @@ NOISE = np.random.default_rng(1).normal(size=(len(FREQUENCY_HZ), 2, 2)) * 1e-7
         (sampled(NOISE * np.eye(2)), "no sum of up to 12 modes follows this FRF"),
         (sampled(SAMPLED.receptance + 0.3 * NOISE * np.eye(2)), "the modes follow the FRF with a residual of"),
         (sampled(SAMPLED.receptance + 1e-9), "one axis acts on the other"),
-        (sampled(SAMPLED.receptance * np.where(FREQUENCY_HZ == 700.0, np.nan, 1.0)[:, None, None]), "no numbers"),
+        (
+            sampled(SAMPLED.receptance * np.where(FREQUENCY_HZ == 700.0, np.nan, 1.0)[:, None, None]),
+            "no finite value at 700 Hz",
+        ),
         (sampled(0.0 * SAMPLED.receptance), "both directions are rigid"),
     ],
     ids=["noise", "much noise", "coupled", "NaN", "rigid"],
