@@ -55,6 +55,37 @@ def test_a_reversed_channel_is_named_and_left_out_on_request(tmp_path: Path) -> 
     assert without["held_out"]["relative_rmse"] < 0.5 * found["held_out"]["relative_rmse"]
 
 
+@pytest.mark.parametrize(("model", "runs"), [("ridge", 12), ("lags", 5)])
+def test_a_reversed_run_is_named_once_by_an_evaluation_with_every_family(tmp_path: Path, model: str, runs: int) -> None:
+    """The channel as a whole is better off with the model, so its pooled figures do not tell."""
+    paths = [run(tmp_path, number, turned=number == 4) for number in range(1, runs + 1)]
+    found = evaluated(*paths, "--leave-out-runs", model=model)
+    assert model != "ridge" or found["channels"]["c1"]["reduction_rmse"] > 0.0
+    named = [sentence for sentence in found["advice"] if "the wrong way round" in sentence]
+    assert len(named) == 1 and named[0].startswith("run04.csv: c1 reads the wrong way round")
+
+
+def test_of_two_runs_that_contradict_each_other_nobody_knows_which_is_reversed(tmp_path: Path) -> None:
+    found = evaluated(*[run(tmp_path, number, turned=number == 2) for number in (1, 2)], "--leave-out-runs")
+    assert not any("the wrong way round" in sentence for sentence in found["advice"])
+
+
+def test_an_evaluation_counts_what_was_recorded_and_not_what_each_training_is_left_with(tmp_path: Path) -> None:
+    four = [run(tmp_path, number) for number in range(1, 5)]
+    found = evaluated(*four, "--leave-out-runs")
+    assert [sentence[:70] for sentence in found["advice"]] == [advice(trained(tmp_path, *four))[:70]]
+    assert "4 whole run(s) or cycle(s) can be left out" in advice(found) and "record 1 more run of" in advice(found)
+    assert evaluated(*four, run(tmp_path, 5), "--leave-out-runs")["advice"] == []
+
+
+def evaluated(*arguments: object, model: str = "ridge") -> dict[str, Any]:
+    result = CliRunner().invoke(main, ["thermal", "evaluate", *map(str, arguments), "--model", model, "--json", "-"])
+    assert result.exit_code == 0, result.output
+    found: dict[str, Any] = json.loads(result.stdout)
+    assert all(sentence in result.stderr for sentence in found["advice"])
+    return found
+
+
 def test_a_machine_that_was_changed_is_seen_and_the_recent_runs_are_trained_on_request(tmp_path: Path) -> None:
     other = WEIGHTS * np.array([[0.3], [1.0], [6.0]])
     paths = [run(tmp_path, number, weights=other if number > 5 else WEIGHTS) for number in range(1, 10)]
@@ -77,6 +108,26 @@ def test_too_few_runs_are_told_how_many_more_how_long_and_how(tmp_path: Path, mo
 def test_one_run_alone_is_told_what_to_record_and_not_to_be_used_unproved(tmp_path: Path) -> None:
     found = trained(tmp_path, run(tmp_path, 1, minutes=100), model="default")
     assert "the longest run lasts 99 min" in advice(found) and "more runs of about" in advice(found)
+
+
+def test_a_family_that_two_runs_cannot_support_is_not_taken_and_that_is_said(tmp_path: Path) -> None:
+    """Asked for by name, two warm-ups without a cycle: the model is of ridges, and must not be taken for the other."""
+    paths = [warm_up(tmp_path, number) for number in (1, 2)]
+    found = trained(tmp_path, *paths, model="gaussian")
+    assert found["chosen"]["family"] == "lags" and "fewer than three whole runs" in found["chosen"]["why"]
+    asked = "chosen: lags; gaussian was asked for by name, but the model holds no Gaussian process: fewer than three"
+    assert asked in found["said"]
+    assert "asked for by name" not in trained(tmp_path, *paths, model="lags")["said"]
+
+
+def warm_up(folder: Path, number: int) -> Path:
+    """Write a run that is one warm-up: its first speed lasts half of it, then the spindle stands."""
+    path = run(folder, number)
+    head, *rows = path.read_text(encoding="utf-8").splitlines()
+    spread = [row.split(",") for row in rows]
+    turning = [[time, "4000" if n < 90 else "0", *rest] for n, (time, _, *rest) in enumerate(spread)]
+    path.write_text("\n".join([head, *map(",".join, turning)]) + "\n", encoding="utf-8")
+    return path
 
 
 def test_a_channel_that_never_moves_is_named(tmp_path: Path) -> None:

@@ -7,19 +7,15 @@ from typing import Any
 import numpy as np
 
 from models.json_values import finite_or_none
-from models.thermal.training.advice import advice
 from models.thermal.training.choice import Candidate, Choice, ChosenProblem
-from models.thermal.training.families import fold_numbers
 from models.thermal.training.prepared import Prepared
-from models.thermal.training.trust import Trust, independent_folds
+from models.thermal.training.trust import Trust
 
 
 def choice_of(model: str, prepared: Prepared, trust: Trust) -> Choice:
     """Return what a training chose; of a family that was asked for by name, what it leaves of what was left out."""
     if isinstance(prepared.problem, ChosenProblem):
         return prepared.problem.choice
-    inputs, rows = prepared.inputs, prepared.rows
-    independent = independent_folds(inputs, rows, len(fold_numbers(rows, prepared.fold)))
     held_out, rmse_um, reduction = trust.held_out, (), ()
     if held_out is not None:
         without = np.where(held_out.rmse_without_um > 0.0, held_out.rmse_without_um, np.nan)
@@ -36,7 +32,6 @@ def choice_of(model: str, prepared: Prepared, trust: Trust) -> Choice:
         family=model,
         why="it was asked for by name; nothing else was tried",
         candidates=(only,),
-        advice=advice(inputs, rows, independent),
     )
 
 

@@ -17,6 +17,7 @@ from daemon.workbench.thermal.shortfalls import (
     on_line_sentences,
     place,
     position_sentences,
+    reversed_sentences,
 )
 from models.control.probing import BiasFilter
 from models.json_values import finite_or_none
@@ -26,8 +27,10 @@ from models.records import FloatArray
 from models.thermal.family import ThermalModel
 from models.thermal.features import BoolArray
 from models.thermal.model import HyperParameters
+from models.thermal.training.advice import advice
 from models.thermal.training.choice import Choice
-from models.thermal.training.folds import cycles
+from models.thermal.training.families import fold_numbers
+from models.thermal.training.folds import cycles, inner_folds
 from models.thermal.training.inputs import (
     Inputs,
     build_inputs,
@@ -40,7 +43,7 @@ from models.thermal.training.prepared import prepare
 from models.thermal.training.recipes import RECIPES
 from models.thermal.training.train_family import MOST_WATCHED, model_of
 from models.thermal.training.trial import Fault, FaultOutcome, Tester, Trial, since_first_known, trial_rows
-from models.thermal.training.trust import Trust, judge
+from models.thermal.training.trust import Trust, independent_folds, judge
 from models.thermal.training.watch_fit import fit_watch
 
 Progress = Callable[[str, int, int], None]
@@ -85,6 +88,8 @@ class _Outcome:
     choice: Choice
     beyond: tuple[str, ...]
     """What the test reaches and training did not."""
+    reversed_runs: tuple[str, ...]
+    """Sentences on runs that were left out of training, because a channel reads the wrong way round in them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,10 +134,28 @@ def evaluate(
         progress("evaluating", number, len(parts))
     if stretches is not None:
         stretches += [_stretch(whole, outcome, index) for outcome in outcomes for index in range(len(outcome.trials))]
-    found = {"model": model, **_figures(whole, outcomes)}
+    found = {"model": model, **_figures(whole, outcomes, _next(recordings, sample_s, protocol))}
     for name in recordings[0].pivots_mm:
         found["channels"][name]["unit"] = "um/m"
     return found
+
+
+def _next(recordings: Sequence[Recording], sample_s: float, protocol: Protocol) -> tuple[str, ...]:
+    """Return what to record next beside these: of all that may be trained on, not of what one training is left with."""
+    inputs = build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())
+    trained = _trained(inputs, protocol)
+    dropped = unusable_sensors(inputs, trained)
+    kept = [with_sensors(one, [name for name in inputs.sensor_names if name not in dropped]) for one in recordings]
+    rows = trained & build_inputs(kept, sample_s=sample_s, lags_min=(), speed_lags_min=()).trainable()
+    fold, _ = inner_folds(inputs, rows)
+    return advice(inputs, rows, independent_folds(inputs, rows, len(fold_numbers(rows, fold))))
+
+
+def _trained(inputs: Inputs, protocol: Protocol) -> BoolArray:
+    """Return which rows may be trained on, where nothing is left out."""
+    if protocol.train_hours is None:
+        return np.ones(inputs.rows, dtype=np.bool_)
+    return inputs.rows_between(*protocol.train_hours)
 
 
 def _require_different(recordings: Sequence[Recording]) -> None:
@@ -147,8 +170,7 @@ def _require_different(recordings: Sequence[Recording]) -> None:
 
 
 def _parts(inputs: Inputs, protocol: Protocol) -> list[_Part]:
-    everything = np.ones(inputs.rows, dtype=np.bool_)
-    trained = everything if protocol.train_hours is None else inputs.rows_between(*protocol.train_hours)
+    trained = _trained(inputs, protocol)
     if protocol.leave_out == "cycles":
         found = cycles(inputs, trained)
         if len(found) < 3:
@@ -220,6 +242,7 @@ def _one(recordings: Sequence[Recording], sample_s: float, model: str, protocol:
         online=online,
         choice=choice_of(model, prepared, trust),
         beyond=beyond_training(inputs, rows, part.test),
+        reversed_runs=prepared.reversed_runs,
     )
 
 
@@ -275,7 +298,7 @@ def _stretch(inputs: Inputs, outcome: _Outcome, index: int) -> Stretch:
     )
 
 
-def _figures(inputs: Inputs, outcomes: Sequence[_Outcome]) -> dict[str, Any]:
+def _figures(inputs: Inputs, outcomes: Sequence[_Outcome], record_next: Sequence[str]) -> dict[str, Any]:
     channels: dict[str, dict[str, Any]] = _channel_figures(inputs.channels, outcomes)
     mean = _mean(channels)
     for name, choice in choice_figures({o.name: o.choice for o in outcomes}, inputs.channels).items():
@@ -284,7 +307,9 @@ def _figures(inputs: Inputs, outcomes: Sequence[_Outcome]) -> dict[str, Any]:
     several = len(outcomes) > 1
     tests = [_test_figures(inputs, outcome) for outcome in outcomes]
     by_test = {o.name: _channel_figures(inputs.channels, [o]) for o in outcomes}
-    said = [*(sentence for o in outcomes for sentence in o.choice.advice), *harm_sentences(channels, by_test)]
+    said = [*dict.fromkeys(sentence for o in outcomes for sentence in o.reversed_runs), *record_next]
+    residuals = {o.name: [(trial.measured_um, trial.residual_um) for trial in o.trials] for o in outcomes}
+    said += [*reversed_sentences(inputs.channels, residuals, said), *harm_sentences(channels, by_test)]
     said += [*on_line_sentences(tests, {o.name: o.beyond for o in outcomes}), *position_sentences(tests)]
     excluded = [one["sensor"] for test in tests for one in test["excluded"]]
     return {

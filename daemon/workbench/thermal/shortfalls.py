@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from models.recordings.findings import said_together
+from models.records import FloatArray
 from models.thermal.features import BoolArray
 from models.thermal.training.inputs import Inputs
 from models.thermal.training.online import FULL_WEIGHT, HOLD_MIN, NO_WEIGHT
@@ -17,6 +18,10 @@ LOST = 0.1
 """On line so much less of the error is removed that it is said why."""
 BEYOND = 0.05
 """A value lies beyond training when it leaves the range by more than this share of it."""
+TURNED_LEFT = 0.8
+"""Where a channel is turned round, less than this share of it is left by a model that goes with it."""
+MOST_REVERSED = 1 / 3
+"""Of more tests than this nobody knows which of them are the wrong way round."""
 POSITION_SHARE = 0.9
 """An axis position that is known for less of the time is why less would be had."""
 MOST_NAMED = 3
@@ -127,6 +132,40 @@ def harm_sentences(
             "the channel there, or record 2 more runs like that test"
         )
     return found
+
+
+def reversed_sentences(
+    channels: Sequence[str],
+    tests: Mapping[str, Sequence[tuple[FloatArray, FloatArray]]],
+    said: Sequence[str] = (),
+) -> list[str]:
+    """Return in which tests a channel reads the wrong way round: turned back it goes with what the others say.
+
+    `tests`: of each test, measured errors and residuals [um], shape (n, n_channels) each, of its stretches. `said`:
+    sentences that name some of them already.
+    """
+    found = []
+    for channel, name in enumerate(channels):
+        turned = [test for test, parts in tests.items() if _is_turned(parts, channel)]
+        if len(turned) > MOST_REVERSED * len(tests):
+            continue
+        found += [
+            f"{test}: {name} reads the wrong way round, by what the other tests say, and spoils each model that is "
+            "trained on it. Look how its sensor was mounted, change the sign of the column, or leave the recording out"
+            for test in turned
+            if not any(one.startswith(f"{test}: ") and "the wrong way round" in one for one in said)
+        ]
+    return found
+
+
+def _is_turned(parts: Sequence[tuple[FloatArray, FloatArray]], channel: int) -> bool:
+    measured, residual = (np.concatenate([part[which][:, channel] for part in parts]) for which in (0, 1))
+    known = np.isfinite(measured) & np.isfinite(residual)
+    without, left, turned = (
+        float(np.sqrt(np.square(values[known]).mean())) if known.any() else 0.0
+        for values in (measured, residual, 2.0 * measured - residual)
+    )
+    return left > without > 0.0 and turned < TURNED_LEFT * without
 
 
 def place(test: str, recording: str) -> str:

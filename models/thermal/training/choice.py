@@ -7,14 +7,13 @@ is without a model is refused.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from models.recordings.dataset import DatasetError
 from models.thermal.features import BoolArray, Design, IntArray, Layout
 from models.thermal.model import HyperParameters
-from models.thermal.training.advice import advice
 from models.thermal.training.families import (
     CORRELATION_MIN,
     Fit,
@@ -89,8 +88,6 @@ class Choice:
     family: str
     why: str
     candidates: tuple[Candidate, ...]
-    advice: tuple[str, ...] = ()
-    """What to record next, see `advice`."""
 
 
 Member = RidgeMember | GaussianMember
@@ -138,17 +135,11 @@ class ChosenProblem:
             "speed_lags_min": list(chosen.layout.speed_lags_min),
         }
         candidates = tuple(_candidate(one) for one in (*tried, *others))
-        self.choice = Choice(
-            family=chosen.family, why=why, candidates=candidates, advice=advice(inputs, rows, self._independent)
-        )
+        self.choice = Choice(family=chosen.family, why=why, candidates=candidates)
 
     def fit(self, left_out: frozenset[int] = frozenset()) -> Fit:
         """Return the fit on everything but some folds."""
         return self._chosen.fit(left_out)
-
-    def advise(self, sentences: Sequence[str]) -> None:
-        """Put sentences before the others that say what to record next."""
-        self.choice = replace(self.choice, advice=(*sentences, *self.choice.advice))
 
     def _on_temperatures(self, name: str, plain: Inputs) -> _Tried:
         try:
@@ -219,6 +210,8 @@ class ChosenProblem:
                 "fewer than three whole runs or cycles can be left out, too few to choose a family by; taken is the "
                 "mean of ridges on lags, which needs no choice"
             )
+            if self._families == ("gaussian",):
+                why = f"gaussian was asked for by name, but the model holds no Gaussian process: {why}"
             return even, [even], why
         others = self._mixed([False, True] if with_speed else [False])
         chosen = min(others, key=lambda one: one.score)

@@ -45,7 +45,7 @@ def prepare(
     """Return a family prepared on recordings.
 
     A family that works on lags is given all that the training rows can teach, and keeps what it uses. Runs in which a
-    channel reads the wrong way round are left out, and named in the advice of the choice.
+    channel reads the wrong way round are left out, and named.
 
     Raises DatasetError when too few rows are complete.
 
@@ -75,7 +75,6 @@ def prepare(
     problem = recipe.prepare(inputs, rows, fold, probe_min)
     left_out = reversed_sentences(inputs, wrong)
     if isinstance(problem, ChosenProblem):
-        problem.advise(left_out)
         inputs = part_of(inputs, problem.layout.lags_min, problem.layout.speed_lags_min)
     return Prepared(inputs=inputs, rows=rows, fold=fold, folds=folds, problem=problem, reversed_runs=left_out)
 
