@@ -168,3 +168,15 @@ def test_who_names_no_family_gets_the_one_that_the_recordings_support_best(tmp_p
         found = json.loads(result.stdout)
         assert (of_increments in result.stderr) is ("increments" in found) is increments
         assert (found["chosen"] is not None) is (not options)
+
+
+@pytest.mark.parametrize(("model", "two"), [("ridge", False), ("lags", True)])
+def test_two_figures_of_what_is_left_are_told_for_what_each_is(tmp_path: Path, model: str, two: bool) -> None:
+    """Shares of members that were chosen on what was left out leave less of it than shares chosen without it."""
+    found = trained(tmp_path, *[run(tmp_path, number) for number in (1, 2, 3)], model=model)
+    remains = found["held_out"]["relative_rmse"]
+    assert f"{remains:.1%} of the error remains there" in found["said"]
+    assert ("in which it had a say; had it none, " in found["said"]) is two
+    if two:
+        unseen = found["chosen"]["relative_rmse"]
+        assert unseen > remains and f"had it none, {unseen:.1%} would" in found["said"]

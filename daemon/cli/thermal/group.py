@@ -215,6 +215,14 @@ def _without_channels(found: dict[str, Any]) -> str:
     return what if refused is None else f"{what}; refused: {refused}; do not use it"
 
 
+def _chosen_without(chosen: dict[str, Any] | None, remains: float) -> str:
+    """Return what would remain had what was left out no say in members and shares, where that is another figure."""
+    unseen = None if chosen is None else chosen["relative_rmse"]
+    if unseen is None or f"{unseen:.1%}" == f"{remains:.1%}":
+        return ""
+    return f" with the model's members and shares, in which it had a say; had it none, {unseen:.1%} would"
+
+
 def _show(found: dict[str, Any]) -> None:
     """Write the outcome for people, on standard error."""
     from daemon.workbench.thermal.shortfalls import columns_sentences
@@ -243,7 +251,7 @@ def _show(found: dict[str, Any]) -> None:
     folds = held_out["folds"]
     say(f"left out in turn: {folds if isinstance(folds, str) else ', '.join(folds)}")
     if (remains := held_out["relative_rmse"]) is not None:
-        say(f"{remains:.0%} of the error remains there")
+        say(f"{remains:.1%} of the error remains there{_chosen_without(found['chosen'], remains)}")
     say(f"{'channel':10} {'rmse without':>13} {'with':>8} {'max without':>12} {'with':>8}   [um]")
     for channel, reached in held_out["channels"].items():
         without, remaining = reached["without"], reached["with"]

@@ -1,5 +1,6 @@
 """Trains a thermal model from recordings on disk, and reports what came of it."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -13,6 +14,7 @@ from daemon.workbench.thermal.reading import read_alike
 from models.json_values import finite_or_none
 from models.recordings.dataset import DatasetError, Recording
 from models.thermal.family import ThermalModel
+from models.thermal.training.choice import Choice
 from models.thermal.training.evaluation import ResidualMetrics
 from models.thermal.training.recipes import Recipe
 from models.thermal.training.train_family import FamilyTraining, train_family
@@ -115,7 +117,7 @@ def summary(result: FamilyTraining, path: Path) -> dict[str, Any]:
             "band_um": {c: finite_or_none(b) for c, b in zip(model.channels, model.band_um.tolist(), strict=True)},
         },
         "hyper_parameters": result.hyper_parameters,
-        "chosen": None if result.choice is None else {"family": result.choice.family, "why": result.choice.why},
+        "chosen": None if result.choice is None else _chosen(result.choice),
         "advice": list(result.advice),
         "refused": trust.refused,
         "training": [
@@ -131,6 +133,11 @@ def summary(result: FamilyTraining, path: Path) -> dict[str, Any]:
         "temperatures_left_out": result.left_out,
         "warnings": list(result.warnings),
     }
+
+
+def _chosen(choice: Choice) -> dict[str, Any]:
+    remains = {one.family: one.relative_rmse for one in choice.candidates}.get(choice.family, math.nan)
+    return {"family": choice.family, "why": choice.why, "relative_rmse": finite_or_none(remains)}
 
 
 def increments_summary(result: FamilyTraining, path: Path) -> dict[str, Any]:
