@@ -136,7 +136,7 @@ class SpindleSpeedConfig(Section):
         gt=0, le=50, description="greatest change against the programmed speed [%]", examples=[15.0]
     )
     hysteresis_rpm: float = Field(
-        gt=0, description="a target nearer to the command than this changes nothing [1/min]", examples=[50.0]
+        gt=0, description="a nearer target changes nothing [1/min]; at most tolerance_percent of speed", examples=[50.0]
     )
     step_rpm: float = Field(
         gt=0, description="greatest change at one safe block inside a pocket [1/min]", examples=[200.0]
@@ -176,6 +176,10 @@ class SpindleSpeedConfig(Section):
         for index, operation in enumerate(self.operations):
             if operation.highest_rpm is not None and operation.highest_rpm <= self.lowest_rpm:
                 problems.append((("operations", index, "highest_rpm"), "must be above lowest_rpm"))
+        highest_rpm = min(self.highest_of(operation) for operation in self.operations)
+        if self.hysteresis_rpm > (allowed_rpm := self.tolerance_rpm(highest_rpm)):
+            text = f"more than tolerance_percent allows at the highest speed of {highest_rpm:g}: {allowed_rpm:g} 1/min"
+            problems.append((("hysteresis_rpm",), f"{text} off the command is verified; change one of the two"))
         keys = [(operation.tool_number, operation.program) for operation in self.operations]
         for index, key in enumerate(keys):
             if key in keys[:index]:
@@ -187,6 +191,10 @@ class SpindleSpeedConfig(Section):
         if problems:
             raise KeyProblems(problems)
         return self
+
+    def tolerance_rpm(self, speed_rpm: float) -> float:
+        """Return how far from a speed [1/min] what is verified of it holds [1/min]."""
+        return self.tolerance_percent / 100.0 * speed_rpm
 
     def highest_of(self, operation: SpeedOperationConfig | None) -> float:
         """Return the highest speed of machine and tool [1/min]."""

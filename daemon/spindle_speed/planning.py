@@ -94,6 +94,13 @@ class OperationPlanning:
             tool_highest_rpm=self._operation.highest_rpm or tuning.highest_rpm,
             within_fraction=tuning.max_change_percent / 100.0,
         )
+        range_rpm = limits.range_rpm(called.speed_rpm)
+        if tuning.hysteresis_rpm > (allowed_rpm := tuning.tolerance_rpm(range_rpm[0])):
+            raise StabilityError(
+                f"spindle_speed.hysteresis_rpm of {tuning.hysteresis_rpm:g} is more than tolerance_percent allows at "
+                f"{range_rpm[0]:g} 1/min, which is {allowed_rpm:g}: the command may stand so far off the speed that "
+                "was verified; lower it, or raise tolerance_percent"
+            )
         demand = SpeedDemand(
             programmed_rpm=called.speed_rpm,
             depth_mm=depth_mm,
@@ -104,7 +111,7 @@ class OperationPlanning:
             demand=demand,
             feed_mm_min=called.feed_mm_min,
             teeth=case.teeth,
-            range_rpm=limits.range_rpm(called.speed_rpm),
+            range_rpm=range_rpm,
             offset_hz=tuning.offset_hz,
         )
         lobes_of = partial(_lobes, cut=case.cut().straight(), operation=operation, feed_deg=case.feed_deg)

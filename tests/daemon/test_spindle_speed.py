@@ -245,6 +245,27 @@ def test_the_section_says_what_is_wrong_with_it(tmp_path: Path) -> None:
         speed_machine(tmp_path, macros=good.macros.model_copy(update={"sequence_a": 500}))
 
 
+@pytest.mark.parametrize("change", [{"hysteresis_rpm": 250.0}, {"tolerance_percent": 0.4}, {"tolerance_percent": 0}])
+def test_a_hysteresis_beyond_what_is_verified_is_refused(tmp_path: Path, change: dict[str, float]) -> None:
+    """The command could stand, for ever, at a speed that was never verified."""
+    good = speed_machine(tmp_path).spindle_speed
+    assert good is not None
+    content = good.model_dump(mode="json") | change
+    with pytest.raises(ConfigurationError, match=r"hysteresis_rpm.*more than tolerance_percent allows"):
+        parse_yaml_model(yaml.safe_dump(content), SpindleSpeedConfig, "speed.yaml")
+    tool = content["operations"][0] | {"highest_rpm": 2400.0}
+    with pytest.raises(ConfigurationError, match="highest speed of 2400: 48 1/min off"):
+        slow = good.model_dump(mode="json") | {"operations": [tool]}
+        parse_yaml_model(yaml.safe_dump(slow), SpindleSpeedConfig, "speed.yaml")
+
+
+async def test_at_a_speed_where_the_hysteresis_is_too_large_nothing_is_tuned(bench: SpeedRig) -> None:
+    assert (await bench.operation(S=2400.0, F=480.0))[0] == 2400.0
+    alarm = bench.picture()["alarm"]
+    assert "hysteresis_rpm of 50 is more than tolerance_percent allows at 2000 1/min, which is 40" in alarm
+    assert (await bench.operation())[2] is SpeedStatus.APPLIED
+
+
 async def test_on_a_real_control_it_moves_the_speed_where_that_control_is_commissioned(tmp_path: Path) -> None:
     bench = SpeedRig(tmp_path)
     bench.nc.identity = "urn:a-real-control"
