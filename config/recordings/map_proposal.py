@@ -93,7 +93,10 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
         keys["decimal"] = ","
     keys |= {"encoding": encoding} if encoding != "utf-8" else {}
     keys |= {"unit_row": True} if unit_row else {}
-    used = {*taken, keys.get("speed"), *keys.get("temperatures", ()), *keys.get("displacements", ())}
+    texts = [name for name in columns if complete and name not in numbers and name not in taken]
+    unread = {name: _unread(name, columns[name]) for name in texts if _kind(described[name]) is not None}
+    notes += unread.values()
+    used = {*taken, keys.get("speed"), *keys.get("temperatures", ()), *keys.get("displacements", ()), *unread}
     return MapProposal(
         keys=keys,
         left_out=tuple(name for name in header if name and name not in used),
@@ -194,6 +197,18 @@ def _number(text: str) -> float | None:
         return float(text.replace(",", "."))
     except ValueError:
         return None
+
+
+def _unread(name: str, texts: Sequence[str]) -> str:
+    """Return why a column is left out whose name says what it is, and whose fields are no numbers."""
+    row, text = next(((n, each) for n, each in enumerate(texts, 1) if each and _number(each) is None), (1, ""))
+    held = f"{text!r}" if text else "an empty field"
+    if not any(_number(each) is not None for each in texts):
+        return f"{name!r} is left out: none of its first {len(texts)} rows holds a number, row {row} {held}; is it dead?"
+    return (
+        f"{name!r} is left out: row {row} holds {held}, which is no number; leave the field empty there and add the "
+        "column to the map"
+    )
 
 
 def _numbers(texts: Sequence[str]) -> bool:

@@ -70,3 +70,17 @@ def test_what_no_name_tells_is_lacking_and_never_guessed() -> None:
     assert found.lacking == ("temperatures", "displacements")
     assert found.left_out == ("foo", "power [kW]", "z [mm]")
     assert "No column seems to be the temperatures; write it yourself" in found.yaml()
+
+
+def test_a_dead_column_is_left_out_for_what_it_holds_and_not_for_its_name() -> None:
+    header = ["time [s]", "Temp 1", "Temp 2", "Temp 3", "Temp 4", "X [um]", "Y [um]", "foo"]
+    fields = [[str(n), "21.5", "OL", "", "21.5" if n else "---", "1.0", "---", "x"] for n in range(3)]
+    found = propose_map(header, fields)
+    assert (found.keys["temperatures"], found.keys["displacements"]) == (["Temp 1"], ["X [um]"])
+    assert found.left_out == ("foo",), "the name of this one alone says nothing"
+    dead, empty, some, channel = found.notes
+    assert dead == "'Temp 2' is left out: none of its first 3 rows holds a number, row 1 'OL'; is it dead?"
+    assert "'Temp 3' is left out" in empty and "an empty field" in empty
+    assert some.startswith("'Temp 4' is left out: row 1 holds '---', which is no number; leave the field empty there")
+    assert "'Y [um]' is left out" in channel
+    assert all(f"# {note}" in found.yaml() for note in found.notes)

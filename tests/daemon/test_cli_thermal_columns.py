@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from thermal_runs import run
 
 from config.recordings.recording_map import RecordingMap, load_recording_map
 from daemon.cli import main
@@ -101,6 +102,24 @@ def test_columns_that_differ_are_named_and_the_common_ones_offered(tmp_path: Pat
     assert result.exit_code == 0, result.output
     assert model(tmp_path / "model.json").sensor_names == (NAMES[0], NAMES[1], NAMES[3])
     assert f"left out, because not all recordings have them: {NAMES[2]}" in result.stderr
+
+
+def test_an_axis_position_that_some_recordings_lack_is_left_out_with_a_sentence(tmp_path: Path) -> None:
+    """A model can do without it: unlike temperatures and displacements it need not be there at all."""
+    paths = [run(tmp_path, number) for number in (1, 2, 3)]
+    for path in paths[1:]:
+        head, *rows = path.read_text(encoding="utf-8").splitlines()
+        moved = [f"{row},{100.0 + number}" for number, row in enumerate(rows)]
+        path.write_text("\n".join([head + ",z_mm", *moved]) + "\n", encoding="utf-8")
+    (good := tmp_path / "map.yaml").write_text(
+        "time: t\nspeed: rpm\ntemperatures: ['T*']\naxis_positions: [z_mm]\ndisplacements: ['c*']\n", encoding="utf-8"
+    )
+    common = ("--map", good, "--model", "ridge", "--common-columns")
+    result = thermal("train", *paths, *common, "-o", tmp_path / "model.json")
+    assert result.exit_code == 0, result.output
+    assert model(tmp_path / "model.json").axis_positions == ()
+    for one in (result, thermal("evaluate", *paths, *common, "--leave-out-runs")):
+        assert "left out, because not all recordings have them: z_mm" in one.stderr
 
 
 def test_columns_in_another_order_are_the_same_columns(tmp_path: Path) -> None:

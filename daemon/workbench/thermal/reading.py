@@ -57,6 +57,9 @@ def common_map(paths: Sequence[Path], recording_map: RecordingMap | None) -> Rec
         if kind not in keys:
             continue
         names = _shared([columns[kind] for columns in found])
+        if not names and kind == "axis_positions":
+            del keys[kind]
+            continue
         if not names:
             raise DatasetError(
                 f"{kind}: there is no column that all {len(paths)} recordings have; {_differing(paths, found)}"
