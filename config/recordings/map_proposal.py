@@ -204,7 +204,8 @@ def _unread(name: str, texts: Sequence[str]) -> str:
     row, text = next(((n, each) for n, each in enumerate(texts, 1) if each and _number(each) is None), (1, ""))
     held = f"{text!r}" if text else "an empty field"
     if not any(_number(each) is not None for each in texts):
-        return f"{name!r} is left out: none of its first {len(texts)} rows holds a number, row {row} {held}; is it dead?"
+        rows = f"none of its first {len(texts)} rows holds a number, row {row} {held}"
+        return f"{name!r} is left out: {rows}; is it dead?"
     return (
         f"{name!r} is left out: row {row} holds {held}, which is no number; leave the field empty there and add the "
         "column to the map"
