@@ -122,6 +122,27 @@ def test_an_axis_position_that_some_recordings_lack_is_left_out_with_a_sentence(
         assert "left out, because not all recordings have them: z_mm" in one.stderr
 
 
+@pytest.mark.parametrize(("column", "renamed"), [("Z [mm]", "Z_mm"), ("z_mm", "")])
+def test_an_axis_position_that_no_configuration_can_name_is_told_at_training(
+    tmp_path: Path, column: str, renamed: str
+) -> None:
+    """It was told by the replay alone, or by nobody until the daemon refused the configuration."""
+    paths = [run(tmp_path, number) for number in (1, 2, 3)]
+    for path in paths:
+        head, *rows = path.read_text(encoding="utf-8").splitlines()
+        moved = [f"{row},{100.0 + number % 50}" for number, row in enumerate(rows)]
+        path.write_text("\n".join([f"{head},{column}", *moved]) + "\n", encoding="utf-8")
+    (good := tmp_path / "map.yaml").write_text(
+        f"time: t\nspeed: rpm\ntemperatures: ['T*']\naxis_positions: ['{column}']\ndisplacements: ['c*']\n",
+        encoding="utf-8",
+    )
+    result = thermal("train", *paths, "--map", good, "--model", "ridge", "-o", tmp_path / "model.json")
+    assert result.exit_code == 0, result.output
+    said = f"axis position '{column}': no key of cnc.axis_positions may be called so"
+    assert (said in result.stderr) is bool(renamed)
+    assert not renamed or f"call the column {renamed} in the recordings and in the map" in result.stderr
+
+
 def test_columns_in_another_order_are_the_same_columns(tmp_path: Path) -> None:
     files = runs(tmp_path)
     lines = [line.split(";") for line in files[1].read_text("utf-8").splitlines()]

@@ -1,6 +1,7 @@
 """Trains a thermal model from recordings on disk, and reports what came of it."""
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -9,6 +10,7 @@ from typing import Any
 
 from config.files import write_whole
 from config.recordings.recording_map import RecordingMap
+from config.schema.base import NAME_PATTERN
 from daemon.telemetry.metrics import keep_one_heap
 from daemon.workbench.thermal.reading import read_alike
 from models.json_values import finite_or_none
@@ -131,8 +133,19 @@ def summary(result: FamilyTraining, path: Path) -> dict[str, Any]:
             "channels": {} if trust.held_out is None else channel_figures(trust.held_out),
         },
         "temperatures_left_out": result.left_out,
-        "warnings": list(result.warnings),
+        "warnings": [*_not_nameable(model), *result.warnings],
     }
+
+
+def _not_nameable(model: ThermalModel) -> list[str]:
+    """Return what is said of axis positions that no configuration can name."""
+    return [
+        f"axis position {name!r}: no key of cnc.axis_positions may be called so, and the key must be the model's name "
+        "for it, so that neither a machine nor a replay can use this model: call the column "
+        f"{re.sub('[^A-Za-z0-9]+', '_', name).strip('_')} in the recordings and in the map, and train again"
+        for name in model.axis_positions
+        if re.fullmatch(NAME_PATTERN, name) is None
+    ]
 
 
 def _chosen(choice: Choice) -> dict[str, Any]:
