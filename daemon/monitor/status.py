@@ -48,7 +48,7 @@ class StatusBoard:
             "reference": reference_document(control, now.monotonic_s),
             "reference_ended": control.reference_ended,
             "tools_set": list(control.tools_set),
-            "model": _model(board.model) or {},
+            "model": (_model(board.model) or {}) | {"waits": thermal.model_waits},
             "estimate": self._estimate(thermal),
             "cnc": _cnc(control),
             "spindle_speed": self._spindle_speed(),

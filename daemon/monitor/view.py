@@ -158,6 +158,8 @@ def _header(picture: Mapping[str, Any]) -> Text:
         line.append(f"\n{output['notices'][-1]}", style="dim")
     if problem := picture["model"].get("problem"):
         line.append(f"\nmodel refused: {problem}", style="red")
+    if waits := picture["model"].get("waits"):
+        line.append(f"\nmodel {waits}", style="yellow")
     if speed := picture.get("spindle_speed"):
         line.append(f"\nspindle speed {speed_in_words(speed)}", style="bold red" if speed["alarm"] else "dim")
     return line
@@ -212,6 +214,8 @@ class _Axes:
         yield table
         if words := _since_reference(self._axes):
             yield Text(words, style="dim")
+        if pivots := [f"{name} {axis['pivot_mm']:g} mm" for name, axis in self._axes.items() if "pivot_mm" in axis]:
+            yield Text(f"with a slope, numbers hold at the pivot: {', '.join(pivots)}", style="dim")
 
 
 def _since_reference(axes: Mapping[str, Mapping[str, Any]]) -> str:

@@ -85,6 +85,15 @@ def test_what_matters_is_on_the_screen():
         assert words in text, words
 
 
+def test_a_slope_names_its_pivot_and_a_waiting_model_says_why():
+    axes = {"z": AXIS | {"unit": "um/m", "pivot_mm": 250.0}, "y": AXIS}
+    text = shown(
+        status_view(PICTURE | {"axes": axes, "model": {"waits": "m2 makes no estimates yet: a sensor is silent"}})
+    )
+    assert "numbers hold at the pivot: z 250 mm" in text and "model m2 makes no estimates yet: a sensor" in text
+    assert "pivot" not in shown(status_view(PICTURE))
+
+
 @pytest.mark.parametrize("width", [80, 100, 200])
 def test_a_problem_is_shown_whole_and_no_word_of_it_is_cut(width):
     problem = (
