@@ -38,7 +38,7 @@ from daemon.monitor.commands import CommandDesk
 from daemon.monitor.control_socket import ControlSocket
 from daemon.monitor.status import StatusBoard
 from daemon.registry import PARTS, Parts
-from daemon.snapshots import DisplacementSnapshot, HistorySnapshot, ModelSnapshot, SnapshotBoard
+from daemon.snapshots import DisplacementSnapshot, HistorySnapshot, JobSnapshot, ModelSnapshot, SnapshotBoard
 from daemon.spindle_speed.output import SpindleSpeedOutput, open_planner
 from daemon.state_store.documents import DaemonAlive
 from daemon.state_store.store import StateStore
@@ -336,7 +336,8 @@ class Daemon:
             self._telemetry.sensors_usable(self.thermal.usable)
         self._publish_output()
         self._publish_links()
-        self.snapshots.jobs = tuple(job.snapshot() for job in self._jobs)
+        tidying = JobSnapshot(name="housekeeping", problem=self._history.housekeeping_problem)
+        self.snapshots.jobs = (tidying, *(job.snapshot() for job in self._jobs))
         self.snapshots.history = HistorySnapshot(acknowledged=dict(self.acknowledged), problem=self._history_problem)
 
     def _publish_links(self) -> None:

@@ -215,9 +215,9 @@ class JobSnapshot:
     """One of the housekeeping jobs, which run in processes of their own."""
 
     name: str
-    attempted_utc_s: float | None
+    attempted_utc_s: float | None = None
     """None: not since the daemon started."""
-    outcome: str
+    outcome: str = ""
     """What the latest run made, '' before it."""
     problem: str
     """Why the latest run failed, '' when it did not."""

@@ -128,7 +128,9 @@ class SparkplugConfig(BrokerConfig):
     )
 
 
-AlarmKind = Literal["fault", "daemon", "hold", "output", "link", "sensor", "model", "store", "disk", "certificate"]
+AlarmKind = Literal[
+    "fault", "daemon", "hold", "output", "link", "sensor", "model", "store", "job", "disk", "certificate"
+]
 """What an alarm can be about."""
 MailAddress = Annotated[str, Field(pattern=MAIL_ADDRESS_PATTERN, max_length=254)]
 

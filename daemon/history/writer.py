@@ -111,6 +111,8 @@ class HistoryWriter:
         self._last_displacement_utc_s: float | None = None
         self._write_id: int | None = None
         self._housekeeping = asyncio.Lock()
+        self.housekeeping_problem = ""
+        """Why the latest housekeeping did not come to its end, '' when it did."""
 
     # --- life ----------------------------------------------------------------------------
 
@@ -308,7 +310,7 @@ class HistoryWriter:
     async def request_housekeeping(self, config: HistoryConfig) -> HousekeepingReport | None:
         """Pack and prune in small slices; the packing itself runs in a process of its own.
 
-        Trouble is reported through `on_problem`; what is left is done next time.
+        Trouble is reported through `on_problem` and stays in `housekeeping_problem`; what is left is done next time.
         """
         if self._housekeeping.locked():
             return None
@@ -316,9 +318,19 @@ class HistoryWriter:
             report = HousekeepingReport()
             try:
                 await _pack_and_prune(self, config, self._clock.now().utc_s, self._sinks, report)
-            except (OSError, sqlite3.Error, ValueError) as error:
-                self._engine.report(f"{self.path}: housekeeping is put off: {cause_in_words(error)}")
+            except Exception as error:
+                self.put_off(cause_in_words(error))
+            else:
+                self.housekeeping_problem = ""
             return report
+
+    def put_off(self, why: str) -> None:
+        """Say why the latest housekeeping did not come to its end, once."""
+        problem = f"{self.path}: housekeeping is put off: {why}"
+        if problem != self.housekeeping_problem:
+            self.event("housekeeping", problem, "daemon")
+        self.housekeeping_problem = problem
+        self._engine.report(problem)
 
 
 async def _pack_and_prune(

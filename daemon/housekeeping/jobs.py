@@ -4,9 +4,11 @@ import asyncio
 import json
 import math
 import sys
+import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Protocol
@@ -25,6 +27,12 @@ from daemon.snapshots import JobSnapshot
 log = structlog.get_logger(__name__)
 LOOK_PERIOD_S = 600
 """Whether it is time is looked at this often [s of the wall clock]: what decides outlives restarts of the daemon."""
+LOOK_WITHIN_S = 30.0
+"""A look at the folder is waited for so long: a network share may not answer for hours [s of the wall clock]."""
+RUN_WITHIN_S = 6 * 3600.0
+"""A run that takes longer is ended [s of the wall clock]."""
+END_WITHIN_S = 10.0
+"""A process that is killed ends within this time, unless it waits for a disk or a share [s of the wall clock]."""
 NICENESS = "15"
 Report = Callable[[str, str], object]
 """Takes what an event is called, and its text."""
@@ -37,7 +45,9 @@ class ScheduledProcess(ABC):
         self._event = event
         self._failure = failure
         self._report = report
-        self._problem = self._outcome = ""
+        self._problem = self._unanswered = self._outcome = ""
+        self._look: Future[bool] | None = None
+        self._process: asyncio.subprocess.Process | None = None
         self.attempted_utc_s = float("-inf")
         """When the command was last started; -inf: not since the daemon began."""
         self._scheduler = AsyncIOScheduler(
@@ -68,17 +78,34 @@ class ScheduledProcess(ABC):
             self._scheduler.shutdown(wait=False)
 
     async def run_if_due(self) -> None:
-        """Run the command when it is due."""
+        """Run the command when it is due; whatever goes wrong is said, and tried again at the next look."""
         try:
-            if not self.due(time.time()):
-                return
-            self.attempted_utc_s = time.time()
+            due = await self._looked()
+        except Exception as error:
+            self._unanswered = self._said(self._unanswered, f"{self._failure}: {_in_words(error)}")
+            return
+        self._unanswered = ""
+        if not due:
+            return
+        self.attempted_utc_s = time.time()
+        try:
             text = await self._run()
-        except OSError as error:
-            self._complain(f"{self._failure}: {error}")
+        except Exception as error:
+            self._problem = self._said(self._problem, f"{self._failure}: {_in_words(error)}")
             return
         self._problem, self._outcome = "", text
         self._report(self._event, text)
+
+    async def _looked(self) -> bool:
+        """Ask `due` in a thread of its own, which keeps up neither the loop nor the end of the daemon."""
+        if self._look is None or self._look.done():
+            self._look = Future()
+            threading.Thread(target=_answer, args=(self._look, self.due), name=self._event, daemon=True).start()
+        try:
+            async with asyncio.timeout(LOOK_WITHIN_S):
+                return await asyncio.shield(asyncio.wrap_future(self._look))
+        except TimeoutError as error:
+            raise OSError(f"its folder has not answered for {LOOK_WITHIN_S:g} s") from error
 
     def snapshot(self) -> JobSnapshot:
         """Return what status shows."""
@@ -87,36 +114,56 @@ class ScheduledProcess(ABC):
             name=self._event,
             attempted_utc_s=self.attempted_utc_s if attempted else None,
             outcome=self._outcome,
-            problem=self._problem,
+            problem=self._unanswered or self._problem,
         )
 
     async def _run(self) -> str:
         """Return what was made; raises OSError with the words of the process that failed."""
-        process = await asyncio.create_subprocess_exec(
+        last = self._process
+        if last is not None and last.returncode is None:
+            raise OSError(f"process {last.pid} of an earlier run cannot be ended: it waits for a disk or a share")
+        process = self._process = await asyncio.create_subprocess_exec(
             *("nice", "-n", NICENESS, sys.executable, "-P", "-m", "daemon.cli", *self.arguments(), "--json", "-"),
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,
         )
         try:
-            output, words = await process.communicate()
+            async with asyncio.timeout(RUN_WITHIN_S):
+                output, words = await process.communicate()
+        except TimeoutError as error:
+            raise OSError(f"it was ended because it took longer than {RUN_WITHIN_S / 3600.0:g} h") from error
         finally:
             if process.returncode is None:
                 process.kill()
-                await process.wait()
+                await asyncio.wait([asyncio.ensure_future(process.wait())], timeout=END_WITHIN_S)
         if process.returncode != 0:
             said = words.decode("utf-8", "replace").strip().splitlines()
             raise OSError(said[-1] if said else f"status {process.returncode}")
         return self.in_words(json.loads(output))
 
-    def _complain(self, problem: str) -> None:
-        if problem != self._problem:
-            self._problem = problem
+    def _said(self, before: str, problem: str) -> str:
+        """Report a problem that is not what was said before; return it."""
+        if problem != before:
             log.error(f"{self._event}.failed", problem=problem)
             self._report(self._event, problem)
+        return problem
+
+
+def _answer(look: "Future[bool]", due: Callable[[float], bool]) -> None:
+    try:
+        look.set_result(due(time.time()))
+    except Exception as error:
+        look.set_exception(error)
+
+
+def _in_words(error: Exception) -> str:
+    return str(error) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
 
 
 HOUSEKEEPING_PERIOD_S = 600
 """Time between housekeeping runs [s of the wall clock]."""
+HOUSEKEEPING_WITHIN_S = 3600.0
+"""A run that takes longer is ended, and what is left is done by the next [s of the wall clock]."""
 
 
 class Scheduler(Protocol):
@@ -139,9 +186,17 @@ def housekeeping_scheduler(history: HistoryWriter, config: HistoryConfig) -> Sch
     scheduler = AsyncIOScheduler(
         timezone="UTC", job_defaults={"coalesce": True, "max_instances": 1, "misfire_grace_time": None}
     )
-    scheduler.add_job(history.request_housekeeping, "interval", seconds=HOUSEKEEPING_PERIOD_S, args=[config])
+    scheduler.add_job(_tidy, "interval", seconds=HOUSEKEEPING_PERIOD_S, args=[history, config])
     made: Scheduler = scheduler
     return made
+
+
+async def _tidy(history: HistoryWriter, config: HistoryConfig) -> None:
+    try:
+        async with asyncio.timeout(HOUSEKEEPING_WITHIN_S):
+            await history.request_housekeeping(config)
+    except TimeoutError:
+        history.put_off(f"it was ended because it took longer than {HOUSEKEEPING_WITHIN_S / 60.0:g} min")
 
 
 FIRST_BACKUP_S = 60

@@ -293,6 +293,9 @@ def _links(picture: Mapping[str, Any]) -> RenderableType:
     if (rows := picture.get("displacement_rows")) and rows["problems"]:
         words = f"{rows['problems']} problems in displacement files, the latest: {rows['last_problem']}"
         parts.append(Text(words, style="yellow"))
+    for job in picture.get("jobs", ()):
+        if job["problem"]:
+            parts.append(Text(f"{job['name']}: {job['problem']}", style="red"))
     cycles = picture["cycles"]
     parts.append(Text(f"{cycles['received']} line cycles, {cycles['incomplete']} incomplete", style="dim"))
     return _Flow(parts, "  ")

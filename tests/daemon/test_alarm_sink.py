@@ -271,7 +271,8 @@ async def test_alarms_of_output_model_and_store(tmp_path: Path) -> None:
         status["model"] = {"problem": "the checksum differs"}
         status["history"]["problem"] = "the disk is full"
         status["spindle_speed"] = {"alarm": "no resonance"}
-        expected = [("output", ""), ("output", "spindle speed"), ("model", "refused"), ("store", "")]
+        status["jobs"] = [{"name": "backup", "problem": "the folder does not answer"}, {"name": "x", "problem": ""}]
+        expected = [("output", ""), ("output", "spindle speed"), ("model", "refused"), ("store", ""), ("job", "backup")]
         assert judged(status, it.configuration) == expected
 
 

@@ -1,10 +1,13 @@
 """Back-ups that the daemon makes by itself, and those of the command line."""
 
+import asyncio
 import json
 import os
+import threading
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 from click.testing import CliRunner, Result
 from installation import Installation
@@ -16,6 +19,7 @@ from daemon.backup.names import existing_backups
 from daemon.backup.restoring import read_manifest
 from daemon.cli import main
 from daemon.history import HistoryReader
+from daemon.housekeeping import jobs
 from daemon.housekeeping.jobs import BackupJob
 from drivers.clock import SystemClock
 
@@ -55,6 +59,71 @@ async def test_a_backup_that_fails_is_said_once(installation):
         await job.run_if_due()
     ((kind, text),) = said
     assert kind == "backup" and "failed" in text
+
+
+class SilentShare(BackupJob):
+    """A back-up job whose folder does not answer until it is let go."""
+
+    def __init__(self, *given):
+        super().__init__(*given)
+        self.answers, self.looks = threading.Event(), 0
+
+    def due(self, now_utc_s):
+        self.looks += 1
+        self.answers.wait(60.0)
+        return super().due(now_utc_s)
+
+
+async def test_a_share_that_does_not_answer_stops_neither_the_loop_nor_later_backups(installation, monkeypatch):
+    monkeypatch.setattr(jobs, "LOOK_WITHIN_S", 0.3)
+    said: list[tuple[str, str]] = []
+    config = BackupConfig(directory=installation.folder / "backups", every_hours=1.0)
+    job = SilentShare(installation.configuration, installation.config_path, config, lambda *words: said.append(words))
+    looking, longest_s, last_s = asyncio.create_task(job.run_if_due()), 0.0, time.monotonic()
+    while not looking.done():
+        await asyncio.sleep(0.01)
+        longest_s, last_s = max(longest_s, time.monotonic() - last_s), time.monotonic()
+    assert longest_s < 0.2
+    await job.run_if_due()
+    assert job.looks == 1, "one look waits at a time"
+    ((kind, text),) = said
+    assert kind == "backup" and "has not answered for 0.3 s" in text and text == job.snapshot().problem
+    job.answers.set()
+    await asyncio.sleep(0.1)
+    monkeypatch.setattr(jobs, "LOOK_WITHIN_S", 30.0)
+    await job.run_if_due()
+    assert job.snapshot().problem == "" and len(existing_backups(config.directory, "Mill 7 (hall)")) == 1
+
+
+async def test_a_run_that_does_not_end_is_ended_said_and_tried_again(installation, monkeypatch):
+    said: list[tuple[str, str]] = []
+    config = BackupConfig(directory=installation.folder / "backups", every_hours=1.0)
+    waits = installation.config_path.with_name("waits.yaml")
+    os.mkfifo(waits)  # the command waits until somebody writes its configuration
+    job = BackupJob(installation.configuration, waits, config, lambda *words: said.append(words))
+    monkeypatch.setattr(jobs, "RUN_WITHIN_S", 2.0)
+    async with asyncio.timeout(30.0):
+        await job.run_if_due()
+    assert not [child for child in psutil.Process().children() if str(waits) in " ".join(child.cmdline())]
+    ((kind, text),) = said
+    assert kind == "backup" and "it was ended because it took longer than" in text and text == job.snapshot().problem
+    waits.unlink()
+    waits.write_bytes(installation.config_path.read_bytes())
+    monkeypatch.setattr(jobs, "RUN_WITHIN_S", 60.0)
+    await job.run_if_due()
+    assert job.snapshot().problem == "" and len(existing_backups(config.directory, "Mill 7 (hall)")) == 1
+
+
+async def test_whatever_goes_wrong_with_a_job_is_said(installation):
+    said: list[tuple[str, str]] = []
+    config = BackupConfig(directory=installation.folder / "backups", every_hours=1.0)
+    job = BackupJob(installation.configuration, installation.config_path, config, lambda *words: said.append(words))
+    job.in_words = lambda made: made["what another version calls it"]
+    for _ in range(2):
+        await job.run_if_due()
+        (config.directory / existing_backups(config.directory, "Mill 7 (hall)")[0]).unlink()
+    ((kind, text),) = said
+    assert kind == "backup" and "KeyError" in text and text == job.snapshot().problem
 
 
 async def test_the_daemon_that_is_told_to_makes_them_and_says_so(installation):

@@ -6,19 +6,25 @@ from datetime import UTC, datetime
 from apscheduler.triggers.interval import IntervalTrigger
 
 from config.schema.service import HistoryConfig
+from daemon.housekeeping import jobs
 from daemon.housekeeping.jobs import HOUSEKEEPING_PERIOD_S, housekeeping_scheduler
 
 
 class Store:
-    """Counts what is asked of it."""
+    """Counts what is asked of it; never comes to an end when it `hangs`."""
 
-    def __init__(self):
-        self.asked = []
+    def __init__(self, *, hangs=False):
+        self.asked, self.why, self.hangs = [], [], hangs
         self.once = asyncio.Event()
 
     async def request_housekeeping(self, config):
         self.asked.append(config)
         self.once.set()
+        if self.hangs:
+            await asyncio.Event().wait()
+
+    def put_off(self, why):
+        self.why.append(why)
 
 
 async def test_the_store_is_tidied_now_and_then_with_its_configuration():
@@ -38,3 +44,20 @@ async def test_the_store_is_tidied_now_and_then_with_its_configuration():
         assert store.asked == [config]
     finally:
         scheduler.shutdown(wait=False)
+
+
+async def test_housekeeping_that_does_not_end_is_ended_and_said(monkeypatch):
+    monkeypatch.setattr(jobs, "HOUSEKEEPING_WITHIN_S", 0.1)
+    store = Store(hangs=True)
+    scheduler = housekeeping_scheduler(store, HistoryConfig())
+    scheduler.start()
+    try:
+        for count in (1, 2):
+            (job,) = scheduler.get_jobs()
+            job.modify(next_run_time=datetime.now(UTC))
+            async with asyncio.timeout(30):
+                while len(store.why) < count:
+                    await asyncio.sleep(0.01)
+    finally:
+        scheduler.shutdown(wait=False)
+    assert len(store.asked) == 2 and "took longer than" in store.why[0]

@@ -20,6 +20,7 @@ NAMES = {
     "sensor": "sensor",
     "model": "model",
     "store": "history store",
+    "job": "job",
     "disk": "disk",
     "certificate": "certificate",
 }

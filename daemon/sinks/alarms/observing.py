@@ -66,7 +66,7 @@ class Lasting:
         self.since_utc_s |= {key: since for key, since in self._before.items() if key[0] in kinds}
 
 
-OF_STATUS = ("output", "link", "sensor", "model", "store")
+OF_STATUS = ("output", "link", "sensor", "model", "store", "job")
 """Kinds that the daemon's status tells."""
 
 
@@ -85,6 +85,9 @@ def of_status(
         yield from lasting.condition("model", "refused", problem, 0.0)
     if problem := status["history"]["problem"]:
         yield from lasting.condition("store", "", problem, 0.0)
+    for job in status.get("jobs", ()):
+        if job["problem"]:
+            yield from lasting.condition("job", job["name"], job["problem"], 0.0)
     for link in status["links"]:
         if not link["up"] and link["name"] != own_link:
             yield from lasting.condition("link", link["name"], link["problem"], alarms.link_longer_than_s)
