@@ -336,7 +336,7 @@ class Daemon:
             self._telemetry.sensors_usable(self.thermal.usable)
         self._publish_output()
         self._publish_links()
-        tidying = JobSnapshot(name="housekeeping", problem=self._history.housekeeping_problem)
+        tidying = JobSnapshot(name="housekeeping", problem=self._history.housekeeping.problem)
         self.snapshots.jobs = (tidying, *(job.snapshot() for job in self._jobs))
         self.snapshots.history = HistorySnapshot(acknowledged=dict(self.acknowledged), problem=self._history_problem)
 

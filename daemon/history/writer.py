@@ -1,27 +1,24 @@
 """The store's only writer. Every method returns at once; the commits happen in its thread."""
 
-import asyncio
 import json
 import sqlite3
 from collections import Counter
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import aclosing
+from collections.abc import Callable, Generator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from config.schema.service import HistoryConfig
 from daemon.history import rows
-from daemon.history.columns.packer import packed_hours
-from daemon.history.columns.packing import PackedHour
 from daemon.history.database import OlderStoreError, connect_writer
-from daemon.history.engine import Engine, cause_in_words
+from daemon.history.engine import Engine
 from daemon.history.intake import Commit, Entry, Execute, Intake, LayoutIds
 from daemon.history.layout import MachineLayout
 from daemon.history.reader import HistoryReader
-from daemon.history.retention import HousekeepingReport, store_hour, tidy
+from daemon.history.retention import HousekeepingReport
 from daemon.history.series import WriteRecord
 from daemon.history.store_lock import WriterLock
+from daemon.history.tidying import Housekeeping
 from drivers.clock import Clock
 from models.json_values import printable
 from models.records import (
@@ -37,11 +34,6 @@ from models.records import (
     ThermalErrorEstimate,
     Trace,
 )
-
-if TYPE_CHECKING:
-    from daemon.history.cursors import Position
-
-    Held = Mapping[str, Position] | None
 
 CYCLE_COMMIT_S = 0.05
 """A cycle waits this long for its estimate and write, so that one commit carries all of them."""
@@ -92,7 +84,7 @@ class HistoryWriter:
         queue_limit: int = QUEUE_LIMIT,
         sinks: Sequence[str] = (),
     ) -> None:
-        self.path, self._sinks = path, sinks
+        self.path = path
         self._clock = clock
         self._machine = machine
         self._intake = Intake(queue_limit)
@@ -110,9 +102,7 @@ class HistoryWriter:
         self._state: dict[str, str] = {}
         self._last_displacement_utc_s: float | None = None
         self._write_id: int | None = None
-        self._housekeeping = asyncio.Lock()
-        self.housekeeping_problem = ""
-        """Why the latest housekeeping did not come to its end, '' when it did."""
+        self.housekeeping = Housekeeping(self, sinks, self._engine.report)
 
     # --- life ----------------------------------------------------------------------------
 
@@ -308,60 +298,8 @@ class HistoryWriter:
         return entry.commit
 
     async def request_housekeeping(self, config: HistoryConfig) -> HousekeepingReport | None:
-        """Pack and prune in small slices; the packing itself runs in a process of its own.
-
-        Trouble is reported through `on_problem` and stays in `housekeeping_problem`; what is left is done next time.
-        """
-        if self._housekeeping.locked():
-            return None
-        async with self._housekeeping:
-            report = HousekeepingReport()
-            try:
-                await _pack_and_prune(self, config, self._clock.now().utc_s, self._sinks, report)
-            except Exception as error:
-                self.put_off(cause_in_words(error))
-            else:
-                self.housekeeping_problem = ""
-            return report
-
-    def put_off(self, why: str) -> None:
-        """Say why the latest housekeeping did not come to its end, once."""
-        problem = f"{self.path}: housekeeping is put off: {why}"
-        if problem != self.housekeeping_problem:
-            self.event("housekeeping", problem, "daemon")
-        self.housekeeping_problem = problem
-        self._engine.report(problem)
-
-
-async def _pack_and_prune(
-    history: HistoryWriter, config: HistoryConfig, now_utc_s: float, sinks: Sequence[str], report: HousekeepingReport
-) -> None:
-    """Pack what is old enough, remove what is too old and waits for no sink, say what a sink has missed."""
-    async with aclosing(packed_hours(history.path, config, now_utc_s)) as hours:
-        async for hour in hours:
-            await history.submit(partial(_store, hour, report))
-    held: Held = None
-    if sinks:
-        from daemon.history.cursors import held_positions  # noqa: PLC0415 (loaded only where there are sinks)
-
-        held = await history.submit(partial(held_positions, history.path, sinks))
-    while await history.submit(partial(tidy, config=config, now_utc_s=now_utc_s, report=report, held=held)):
-        pass
-    for stream, count in report.untaken.items():
-        history.event("sinks", _untaken_in_words(stream, count), "daemon")
-
-
-def _untaken_in_words(stream: str, count: int) -> str:
-    return (
-        f"{count} rows of {stream} that a sink has not taken were deleted, the oldest first: they had waited for it "
-        "longer than history.keep_for_sinks_days; `toolpoint sink status` says what keeps the sink from taking more"
-    )
-
-
-def _store(hour: PackedHour, report: HousekeepingReport, connection: sqlite3.Connection) -> None:
-    if store_hour(connection, hour):
-        report.packed_hours += 1
-        report.packed_rows += hour.row_count
+        """Pack and prune; the packing itself runs in a process of its own. None while that goes on already."""
+        return await self.housekeeping.run(config, self._clock.now().utc_s)
 
 
 def _statement(sql: str, build: Build) -> Execute:

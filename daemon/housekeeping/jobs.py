@@ -196,7 +196,7 @@ async def _tidy(history: HistoryWriter, config: HistoryConfig) -> None:
         async with asyncio.timeout(HOUSEKEEPING_WITHIN_S):
             await history.request_housekeeping(config)
     except TimeoutError:
-        history.put_off(f"it was ended because it took longer than {HOUSEKEEPING_WITHIN_S / 60.0:g} min")
+        history.housekeeping.put_off(f"it was ended because it took longer than {HOUSEKEEPING_WITHIN_S / 60.0:g} min")
 
 
 FIRST_BACKUP_S = 60

@@ -87,6 +87,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     ),
     "The history store": (
         "daemon/history/engine.py",
+        "daemon/history/tidying.py",
         "daemon/history/writer.py",
         "daemon/history/store_lock.py",
         "daemon/housekeeping",

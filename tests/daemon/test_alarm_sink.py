@@ -213,7 +213,7 @@ def test_alarms_hold_no_history_back(tmp_path: Path) -> None:
     plant = SinkConfig.model_validate({"name": "plant", "driver": "parquet", "parquet": {"folder": "/x"}})
     configuration = machine(tmp_path).model_copy(update={"sinks": [webhook, plant]})
     daemon = Daemon(configuration, HandClock())
-    assert daemon._history._sinks == ["plant"]
+    assert daemon._history.housekeeping._sinks == ["plant"]
 
 
 # --- what counts as wrong ------------------------------------------------------------------

@@ -217,7 +217,7 @@ async def test_failing_packing_process_is_reported(store: Path, monkeypatch: pyt
     writer.close()
     assert report is not None
     assert any("housekeeping is put off" in problem and "packing process failed" in problem for problem in problems)
-    assert "packing process failed" in writer.housekeeping_problem, "it stays until housekeeping works again"
+    assert "packing process failed" in writer.housekeeping.problem, "it stays until housekeeping works again"
     with HistoryReader(store) as reader:
         assert reader.events(0.0, 1e11)[-1].kind == "housekeeping"
 

@@ -15,7 +15,7 @@ class Store:
 
     def __init__(self, *, hangs=False):
         self.asked, self.why, self.hangs = [], [], hangs
-        self.once = asyncio.Event()
+        self.once, self.housekeeping = asyncio.Event(), self
 
     async def request_housekeeping(self, config):
         self.asked.append(config)

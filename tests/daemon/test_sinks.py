@@ -86,6 +86,9 @@ async def test_retention_waits_for_a_sink_and_then_drops_the_oldest_and_says_so(
     try:
         hour(writer, EPOCH_S)
         hour(writer, EPOCH_S + 3 * DAY_S)
+        for hours in range(16 * 24):  # the daemon runs on
+            writer._clock.utc_s = EPOCH_S + hours * 3600.0
+            writer.event("test", "still here")
         await writer.flushed()
         for days, left in ((4.0, 24), (12.0, 24), (15.5, 12)):
             writer._clock.utc_s = EPOCH_S + days * DAY_S
