@@ -29,7 +29,7 @@ from daemon.estimation.snapshot import thermal_snapshot
 from daemon.estimation.task import Message, ThermalInbox, ThermalTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.housekeeping.jobs import scheduled_jobs
+from daemon.housekeeping.jobs import job_snapshots, scheduled_jobs
 from daemon.links import DisplacementLog, Links, Serve
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import LoadedModel, load_released
@@ -38,7 +38,7 @@ from daemon.monitor.commands import CommandDesk
 from daemon.monitor.control_socket import ControlSocket
 from daemon.monitor.status import StatusBoard
 from daemon.registry import PARTS, Parts
-from daemon.snapshots import DisplacementSnapshot, HistorySnapshot, JobSnapshot, ModelSnapshot, SnapshotBoard
+from daemon.snapshots import DisplacementSnapshot, HistorySnapshot, ModelSnapshot, SnapshotBoard
 from daemon.spindle_speed.output import SpindleSpeedOutput, open_planner
 from daemon.state_store.documents import DaemonAlive
 from daemon.state_store.store import StateStore
@@ -336,8 +336,7 @@ class Daemon:
             self._telemetry.sensors_usable(self.thermal.usable)
         self._publish_output()
         self._publish_links()
-        tidying = JobSnapshot(name="housekeeping", problem=self._history.housekeeping.problem)
-        self.snapshots.jobs = (tidying, *(job.snapshot() for job in self._jobs))
+        self.snapshots.jobs = job_snapshots(self._history, self._jobs)
         self.snapshots.history = HistorySnapshot(acknowledged=dict(self.acknowledged), problem=self._history_problem)
 
     def _publish_links(self) -> None:

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 GAP_H = 6
 """So many hours without a record may be a step of the clock [h]."""
-LONGEST_DOUBT_H = 30 * 24
+LONGEST_UNPROVEN_H = 30 * 24
 """After so many hours with records any gap before them counts as time that has passed [h]."""
 SAID_H, PROBLEM_H = 4 * 24, 30 * 24
-"""A doubt is said from here on, and is a problem from there on [h]."""
+"""Such a gap is said from here on, and is a problem from there on [h]."""
 RECORDED = """
 SELECT hour FROM (SELECT DISTINCT utc_ms / :hour_ms AS hour FROM temperature_cycles
     UNION SELECT utc_ms / :hour_ms FROM cnc_samples UNION SELECT utc_ms / :hour_ms FROM events
@@ -45,21 +45,21 @@ class Store(Protocol):
     def event(self, kind: str, text: str, person: str | None = None) -> Commit: ...
 
 
-def doubted_h(connection: sqlite3.Connection, now_utc_s: float) -> int:
+def unproven_h(connection: sqlite3.Connection, now_utc_s: float) -> int:
     """Return by how many hours the clock may be ahead: it went on by them while nothing was recorded.
 
-    A gap counts as time that has passed once as many hours have records after it, or `LONGEST_DOUBT_H`: a machine that
+    A gap counts as time that has passed once as many hours have records after it, or `LONGEST_UNPROVEN_H`: a machine that
     was off for three weeks needs no more than that its history stays for that much longer; a clock that is wrong by
     years would delete all of it.
     """
-    limits = {"hour_ms": HOUR_MS, "now": int(now_utc_s * 1e3) // HOUR_MS, "limit": LONGEST_DOUBT_H}
-    doubted, later = 0, limits["now"]
+    limits = {"hour_ms": HOUR_MS, "now": int(now_utc_s * 1e3) // HOUR_MS, "limit": LONGEST_UNPROVEN_H}
+    unproven, later = 0, limits["now"]
     for recorded, (hour,) in enumerate(connection.execute(RECORDED, limits)):
         gap = later - hour - 1
         if gap >= GAP_H and recorded < gap:
-            doubted += gap
+            unproven += gap
         later = hour
-    return doubted
+    return unproven
 
 
 class Housekeeping:
@@ -109,8 +109,8 @@ class Housekeeping:
             from daemon.history.cursors import held_positions  # noqa: PLC0415 (loaded only where there are sinks)
 
             held = await history.submit(partial(held_positions, history.path, self._sinks))
-        ahead_h = await asyncio.to_thread(_doubted_h, history.path, now_utc_s)
-        problem = self._doubt(ahead_h)
+        ahead_h = await asyncio.to_thread(_unproven_h, history.path, now_utc_s)
+        problem = self._say_unproven(ahead_h)
         believed_s = now_utc_s - ahead_h * 3600.0
         while await history.submit(partial(tidy, config=config, now_utc_s=believed_s, report=report, held=held)):
             pass
@@ -118,12 +118,12 @@ class Housekeeping:
             history.event("sinks", _untaken_in_words(stream, count), "daemon")
         return problem
 
-    def _doubt(self, ahead_h: int) -> str:
-        """Say when a doubt of the clock comes and goes; return it when it is a problem."""
+    def _say_unproven(self, ahead_h: int) -> str:
+        """Say when the clock is not believed, and when it is again; return why not when it is a problem."""
         said_h, self._said_h = self._said_h, ahead_h if ahead_h >= SAID_H else 0
         text = (
             f"the clock went on by {ahead_h / 24.0:.1f} d in which nothing was recorded: nothing is deleted on their "
-            f"account until the machine has recorded for as long, or for {LONGEST_DOUBT_H / 24:.0f} d; if the clock is "
+            f"account until the machine has recorded for as long, or for {LONGEST_UNPROVEN_H / 24:.0f} d; if the clock is "
             "wrong, set it right before then"
         )
         if self._said_h > said_h:
@@ -133,9 +133,9 @@ class Housekeeping:
         return text if ahead_h >= PROBLEM_H else ""
 
 
-def _doubted_h(path: Path, now_utc_s: float) -> int:
+def _unproven_h(path: Path, now_utc_s: float) -> int:
     with closing(connect_reader(path)) as connection:
-        return doubted_h(connection, now_utc_s)
+        return unproven_h(connection, now_utc_s)
 
 
 def _untaken_in_words(stream: str, count: int) -> str:

@@ -267,3 +267,9 @@ def scheduled_jobs(
     if (retraining := configuration.compensation.retraining) is not None:
         jobs.append(RetrainingJob(configuration, config_path, retraining, report))
     return tuple(jobs)
+
+
+def job_snapshots(history: HistoryWriter, jobs: Sequence[ScheduledProcess]) -> tuple[JobSnapshot, ...]:
+    """Return what status shows of the housekeeping of the store and of these jobs."""
+    tidying = JobSnapshot(name="housekeeping", problem=history.housekeeping.problem)
+    return (tidying, *(job.snapshot() for job in jobs))

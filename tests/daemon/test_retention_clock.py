@@ -12,7 +12,7 @@ from history_records import EPOCH_S, SMALL, StillClock
 from config.schema.service import HistoryConfig
 from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.database import connect_reader
-from daemon.history.tidying import LONGEST_DOUBT_H, doubted_h
+from daemon.history.tidying import LONGEST_UNPROVEN_H, unproven_h
 
 HOUR_S, DAY_S = 3600.0, 86_400.0
 CONFIG = HistoryConfig(
@@ -105,6 +105,6 @@ async def test_nights_and_weekends_hold_nothing_up(tmp_path: Path, shifts: range
         await writer.flushed()
         now_s = writer._clock.utc_s
     with closing(connect_reader(store)) as connection:
-        assert doubted_h(connection, now_s - 1.0) <= 2 * most_h
-        assert doubted_h(connection, now_s - 1.0 + 40 * 24 * HOUR_S) >= 40 * 24 - 1
-    assert most_h < LONGEST_DOUBT_H
+        assert unproven_h(connection, now_s - 1.0) <= 2 * most_h
+        assert unproven_h(connection, now_s - 1.0 + 40 * 24 * HOUR_S) >= 40 * 24 - 1
+    assert most_h < LONGEST_UNPROVEN_H
