@@ -35,6 +35,10 @@ CANNOT: Mapping[str, str] = {
     Capability.SEQUENCE_NUMBER: "LinuxCNC tells the line of the file, and no N number",
     Capability.MOTOR_TEMPERATURE: "LinuxCNC does not know the spindle motor's temperature",
 }
+NOT_METRIC = (
+    "it keeps its work offsets in another unit than mm ([TRAJ]LINEAR_UNITS), also in G21, and the guard counts in mm: "
+    "nothing is written"
+)
 
 
 class LinuxcncCnc(LinkedCnc):
@@ -48,14 +52,18 @@ class LinuxcncCnc(LinkedCnc):
         self._pins = Pins.of(config)
         self._link: BridgeLink | None = None
         self._lacking: list[str] = []
+        self._metric = False
 
     @property
     def cannot(self) -> Mapping[str, str]:
         """What LinuxCNC does not give, with the reason."""
-        if not self._lacking:
-            return CANNOT
-        lacking = ", ".join(self._lacking)
-        return {**CANNOT, Capability.AXIS_POSITION: f"LinuxCNC has no axis {lacking}, or its unit is no usual one"}
+        found = dict(CANNOT)
+        if self._lacking:
+            lacking = ", ".join(self._lacking)
+            found[Capability.AXIS_POSITION] = f"LinuxCNC has no axis {lacking}, or its unit is no usual one"
+        if not self._metric:
+            found[Capability.WRITE_MACROS] = NOT_METRIC
+        return found
 
     @property
     def _present_link(self) -> BridgeLink | None:
@@ -124,6 +132,7 @@ class LinuxcncCnc(LinkedCnc):
             do="read",
             **{"in": [pins.inputs[number] for number in inputs], "out": [pins.outputs[number] for number in outputs]},
         )
+        self._metric = round(float(found["units_per_mm"]), 6) == 1.0
         told = dict(zip([*inputs, *outputs], map(float, [*found["in"], *found["out"]]), strict=True))
         silent = told[version] == 0.0
         values: dict[int, float | None] = {}
@@ -138,6 +147,8 @@ class LinuxcncCnc(LinkedCnc):
         return values, found
 
     async def _write(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
+        if not self._metric:
+            raise NotSentError(f"{NAME}: {NOT_METRIC}")
         for number in (number for group in groups for number, _ in group):
             if number not in self._pins.inputs:
                 raise NotSentError(

@@ -1,6 +1,7 @@
 """The guard's text for LinuxCNC, run by LinuxCNC itself: what is written by the driver is where the axis stands."""
 
 import asyncio
+import contextlib
 from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from scripted_machine import cnc_config
 from config.schema.cnc import CncConfig, MacroMapConfig
 from config.schema.compensation import CompensationConfig
 from drivers.clock import SystemClock
+from drivers.contract import Capability, NotSentError
 from drivers.guard.check import block_check
 from drivers.guard.linuxcnc import linuxcnc_text, memory_of
 from drivers.guard.text import GuardStatus
@@ -59,8 +61,8 @@ WORK_MM = 10.0
 class Mill:
     """LinuxCNC with the guard's text, the driver, and a person who positions and calls the guard."""
 
-    def __init__(self, directory: Path) -> None:
-        self.linuxcnc = RealLinuxcnc(directory, CLOCK)
+    def __init__(self, directory: Path, units: str = "mm") -> None:
+        self.linuxcnc = RealLinuxcnc(directory, CLOCK, units)
         self.cnc = LinuxcncCnc(CONFIG, SystemClock())
         self.sequence = 0.0
 
@@ -113,18 +115,24 @@ class Mill:
         return None if applied is None else applied * 1000.0
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def mill() -> AsyncIterator[Mill]:
+@contextlib.asynccontextmanager
+async def started(units: str = "mm") -> AsyncIterator[Mill]:
     with folder() as directory:
         (directory / "toolpoint.ngc").write_text(linuxcnc_text(CONFIG, AXES, machine="mill"), encoding="ascii")
         memory = "".join(f"{number}\t0.000000\n" for number in memory_of(CONFIG.guard, AXES))
         (directory / "mill.var").write_text(memory, encoding="ascii")
-        mill = Mill(directory)
+        mill = Mill(directory, units)
         try:
             await mill.start()
             yield mill
         finally:
             await mill.stop()
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def mill() -> AsyncIterator[Mill]:
+    async with started() as mill:
+        yield mill
 
 
 async def test_a_day_at_the_machine(mill: Mill) -> None:
@@ -240,3 +248,14 @@ async def test_without_its_memory_it_moves_nothing(mill: Mill) -> None:
     await mill.linuxcnc.mdi("o<toolpoint> call [1]")
     assert await mill.stands_mm() == pytest.approx(before, abs=1e-9)
     assert (await mill.cnc.read_macros([513]))[513] == echo_before, "it echoes nothing that it does not know"
+
+
+async def test_a_machine_in_inches_is_not_written_to() -> None:
+    async with started("inch") as mill:
+        assert "LINEAR_UNITS" in mill.cnc.cannot[Capability.WRITE_MACROS]
+        await mill.linuxcnc.mdi("o<toolpoint> call [5]", "G10 L2 P1 Z-100")
+        stood_mm = await mill.stands_mm()
+        with pytest.raises(NotSentError, match="LINEAR_UNITS"):
+            await mill.write({"Z": 3.0})
+        await mill.linuxcnc.mdi("o<toolpoint> call [1]")
+        assert await mill.stands_mm() == pytest.approx(stood_mm, abs=1e-7)

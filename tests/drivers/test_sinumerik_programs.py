@@ -316,3 +316,14 @@ def test_an_old_answer_and_a_foreign_counter_are_none_to_a_new_request() -> None
     control.nc.control.groups[13] = 1
     control.ask(K=1.0)
     assert control.nc.control.alarm == (121, "TOOLPOINT REQUEST IN INCH")
+
+
+def test_setting_data_in_inches_are_left_alone_though_the_program_is_in_millimetres() -> None:
+    bench = GuardBench(dialect="sinumerik")
+    bench.write(z=4.0)
+    assert bench.call() is GuardStatus.APPLIED
+    stood = list(bench.nc.control.external_mm)
+    bench.nc.control.basic_metric = False
+    bench.write(z=8.0)
+    assert bench.call() is GuardStatus.INCH
+    assert bench.nc.control.external_mm == stood

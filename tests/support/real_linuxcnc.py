@@ -126,9 +126,10 @@ def missing() -> str:
 class RealLinuxcnc:
     """One LinuxCNC; its files are in a directory, so that it can be started again with them."""
 
-    def __init__(self, directory: Path, hal: str = "") -> None:
+    def __init__(self, directory: Path, hal: str = "", units: str = "mm") -> None:
         self.directory = directory
         self._hal = hal
+        self._ini = INI.replace("LINEAR_UNITS = mm", f"LINEAR_UNITS = {units}")
         self._process: asyncio.subprocess.Process | None = None
         self._desk: asyncio.subprocess.Process | None = None
         self._init = 0
@@ -208,7 +209,7 @@ class RealLinuxcnc:
             f"[JOINT_{n}]\nTYPE = LINEAR\n{AXIS}FERROR = 10\nMIN_FERROR = 5\nHOME_SEARCH_VEL = 0\nHOME_SEQUENCE = 0\n"
             for n in range(3)
         )
-        (self.directory / "mill.ini").write_text(INI + axes + joints, encoding="ascii")
+        (self.directory / "mill.ini").write_text(self._ini + axes + joints, encoding="ascii")
         (self.directory / "mill.hal").write_text(HAL + self._hal, encoding="ascii")
         (self.directory / "mill.tbl").write_text("T1 P1 Z0 D1\n", encoding="ascii")
         (self.directory / "mill.var").touch()

@@ -12,6 +12,9 @@ CLOCK_WRAP_S = 2_147_483.648
 MESSAGES_KEPT = 20
 METRIC, INCHES = 2, 1
 """Active function of G group 13: G71, G70."""
+ALL_METRIC = 4
+"""Active function of G group 13: G710, which holds for setting data too."""
+MM_PER_INCH = 25.4
 PER_MINUTE = 2
 """Active function of G group 15: G94."""
 DEFAULT_GROUPS = {7: 1, 13: METRIC, 15: PER_MINUTE}
@@ -53,6 +56,8 @@ class SinumerikControl:
         """SD43920 of each axis [mm]."""
         self.groups = dict(DEFAULT_GROUPS)
         """Active function by G group."""
+        self.basic_metric = True
+        """MD10240: setting data are in mm, else in inches."""
         self.compensation_types = dict.fromkeys(self.addresses, 1)
         """MD32750 by axis."""
         self.velocity_factors = dict.fromkeys(self.addresses, 0.01)
@@ -102,9 +107,14 @@ class SinumerikControl:
             raise SinumerikError(f"this control has the axes {' '.join(self.addresses)}, not {name}")
         return self.addresses.index(name)
 
-    def set_compensation(self, name: str, value_mm: float) -> None:
+    @property
+    def datum_mm(self) -> float:
+        """Millimetres per unit of a length in setting data."""
+        return 1.0 if self.basic_metric or self.groups[13] == ALL_METRIC else MM_PER_INCH
+
+    def set_compensation(self, name: str, value: float) -> None:
         """Write SD43900 of an axis, which moves by it at once."""
-        axis = self.axis(name)
+        axis, value_mm = self.axis(name), value * self.datum_mm
         if self.compensation_types[name] & 1 and self.velocity_factors[name] > 0.0:
             self.external_mm[axis] = round(value_mm / self.increment_mm) * self.increment_mm
 

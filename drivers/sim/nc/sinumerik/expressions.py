@@ -247,6 +247,8 @@ def index_of(tokens: Tokens) -> str:
 def _system(tokens: Tokens, name: str) -> Expression:
     if name == "$P_TOOLNO":
         return lambda frame: frame.control.tool_number
+    if name == "$MN_SCALING_SYSTEM_IS_METRIC":
+        return lambda frame: frame.control.basic_metric
     index = index_of(tokens)
     if name == "$AC_TIMER":
         return lambda frame: frame.control.timer(int(index))
@@ -255,7 +257,7 @@ def _system(tokens: Tokens, name: str) -> Expression:
     if name == "$P_SUBPAR":
         return lambda frame: frame.given[int(index) - 1]
     if name == "$SA_TEMP_COMP_ABS_VALUE":
-        return lambda frame: frame.control.external_mm[frame.control.axis(index)]
+        return lambda frame: frame.control.external_mm[frame.control.axis(index)] / frame.control.datum_mm
     if name == "$SA_TEMP_COMP_SLOPE":
         return lambda frame: frame.control.slopes[frame.control.axis(index)]
     if name == "$SA_TEMP_COMP_REF_POSITION":
