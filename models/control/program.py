@@ -35,8 +35,8 @@ def in_part_program(previous: CncSample | None, polled: CncSample, guard_program
 def positioning_passed(
     previous: CncSample | None, sample: CncSample, program: int | None, sequence_numbers: Collection[int]
 ) -> bool:
-    """Whether the program has reached a positioning block since the previous sample."""
-    if sample.sequence_number not in sequence_numbers or sample.run is not CncRun.START:
+    """Whether the program has reached a positioning block since the previous sample, be it in a feed hold."""
+    if sample.sequence_number not in sequence_numbers or sample.run in IDLE:
         return False
     if program is not None and sample.program != program:
         return False

@@ -1,6 +1,7 @@
 """When a reference begins and ends, and what the machine is doing."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -49,8 +50,16 @@ def test_only_the_edge_into_a_positioning_block_sets_a_reference():
     assert positioning_passed(SAMPLE, at, None, [100])
     assert not positioning_passed(at, at, None, [100])
     assert not positioning_passed(None, at, None, [100])
-    assert not positioning_passed(SAMPLE, replace(at, run=CncRun.HOLD), None, [100])
+    assert not positioning_passed(SAMPLE, replace(at, run=CncRun.STOP), None, [100])
     assert not positioning_passed(SAMPLE, at, 7, [100])
+
+
+@pytest.mark.parametrize("run", [CncRun.HOLD, CncRun.UNKNOWN])
+def test_a_feed_hold_in_the_positioning_block_hides_no_positioning_and_makes_no_second_one(run):
+    began, held = replace(SAMPLE, sequence_number=100), replace(SAMPLE, sequence_number=100, run=run)
+    for polls in ((SAMPLE, held, began), (SAMPLE, began, held, began)):
+        seen = [positioning_passed(before, now, None, [100]) for before, now in pairwise(polls)]
+        assert seen == [True] + [False] * (len(polls) - 2)
 
 
 def test_a_power_cycle_shows_in_the_count_or_in_the_clock_going_back():
