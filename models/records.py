@@ -4,6 +4,7 @@ Units stand in the field names. Arrays are one-dimensional float64 (or uint8 cod
 `models.quality`), in the machine's sensor order unless a field says otherwise, and read-only.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 
@@ -83,6 +84,10 @@ class MachineTemperatures:
     age_s: FloatArray
     """Time since each sensor's last accepted value [s], inf where there was none."""
     trace: Trace
+    believed_degc: FloatArray | None = None
+    """Cleansed, shifts of levels taken off [degC]; NaN where held or doubted. None: not worked out."""
+    doubted: Mapping[int, str] = field(default_factory=dict)
+    """Why a sensor at this place is not believed."""
 
     def __post_init__(self) -> None:
         _lock(self.measured_degc, self.degc, self.quality, self.reason, self.age_s)

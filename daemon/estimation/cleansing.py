@@ -134,6 +134,18 @@ class Cleansing:
         held &= ~np.isin(self._sensor_ids, [*imputed])
         return float(ages_s[held].max(initial=0.0))
 
+    def believed(self, now: MachineTemperatures, wrong: Collection[int]) -> MachineTemperatures:
+        """Return the temperatures with what is believed of them; `wrong`: IDs of sensors that were found wrong."""
+        doubted = dict.fromkeys(np.flatnonzero(self.levels.uncertainty_k).tolist(), "is at a level that is doubted")
+        doubted |= dict.fromkeys(np.flatnonzero(np.isin(self._sensor_ids, [*wrong])).tolist(), "was found wrong")
+        for name, each in self._standing.items():
+            if each.stands_s(now.trace.first_byte.monotonic_s):
+                doubted |= dict.fromkeys(self._lines[name][0].tolist(), "may be answered from memory")
+        degc = np.where(now.age_s > HELD_PERIODS * self._period_s, np.nan, now.degc - self.levels.shift_k)
+        degc[[*doubted]] = np.nan
+        said = {place: f"sensor {self._sensor_ids[place]} {why}" for place, why in doubted.items()}
+        return replace(now, believed_degc=degc, doubted=said)
+
     def recall(self, degc: FloatArray, at_s: FloatArray) -> None:
         """Hold the first temperatures against what was accepted last [degC], at which times [s]; NaN where nothing."""
         self._state = initial_state(len(degc), degc, at_s)

@@ -255,7 +255,7 @@ class ThermalTask:
             self._deliver(renewed)
             self._deliver_sensors()
         if self._temperature_is_shown:
-            self._deliver(temperatures)
+            self._deliver(self._cleansing.believed(temperatures, self._since.excluded))
         await _turns(TURNS_OF_OUTPUT)
         if renewed is not None:
             self._history.estimate(renewed)

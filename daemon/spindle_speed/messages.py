@@ -1,6 +1,7 @@
 """The messages between the daemon and the process that plans the spindle speed, one JSON text a line."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Protocol
 
@@ -35,6 +36,8 @@ class PlanRequest:
     called: CalledOperation | None
     place: int | None
     """Of the operation in the configuration; None: nothing is to be planned."""
+    doubted: Mapping[int, str]
+    """Index of each sensor that is not believed, and why."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -54,10 +54,10 @@ class SpindleSpeedOutput:
         return False
 
     def on_temperatures(self, temperatures: MachineTemperatures) -> None:
-        """Take a cycle of the sensors."""
-        if self.follower is not None:
+        """Take what is believed of a cycle of the sensors."""
+        if self.follower is not None and temperatures.believed_degc is not None:
             time = temperatures.trace.cleansed or temperatures.trace.last_byte
-            self.follower.worker.take(time.monotonic_s, temperatures.degc)
+            self.follower.worker.take(time.monotonic_s, temperatures.believed_degc, temperatures.doubted)
 
     async def serve(self, session: CncSession | None, phase: Phase, sample: CncSample | None) -> None:
         """Read the operation when it is time, decide, and write what is due.

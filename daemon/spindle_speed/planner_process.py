@@ -8,7 +8,7 @@ import asyncio
 import math
 import signal
 from collections import deque
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 
 from pydantic import ValidationError
 
@@ -195,6 +195,7 @@ class SpeedWorker:
         self._planner = planner
         self._readings: deque[tuple[float, tuple[float, ...]]] = deque(maxlen=MOST_READINGS)
         self._last_s: float | None = None
+        self._doubted: Mapping[int, str] = {}
         self._task: asyncio.Task[PlannedSpeed | None] | None = None
         self._latest: PlannedSpeed | None = None
 
@@ -208,11 +209,11 @@ class SpeedWorker:
         """The latest plan; none of a planner that has been lost since."""
         return None if self.inhibit else self._latest
 
-    def take(self, time_s: float, degc: FloatArray) -> None:
-        """Take a reading of all sensors [degC]."""
+    def take(self, time_s: float, degc: FloatArray, doubted: Mapping[int, str]) -> None:
+        """Take a reading of all sensors [degC], and why those at some places are not believed."""
         if self._planner is not None:
             self._readings.append((time_s, tuple(degc.tolist())))
-            self._last_s = time_s
+            self._last_s, self._doubted = time_s, doubted
 
     def update(self, called: CalledOperation | None, place: int | None) -> None:
         """Take over a plan that is ready, and ask for the next where readings wait; returns at once."""
@@ -229,7 +230,13 @@ class SpeedWorker:
             return
         unplanned = called is not None and place is not None and (self._latest is None or self._latest.called != called)
         if self._last_s is not None and (self._readings or unplanned):
-            request = PlanRequest(readings=tuple(self._readings), time_s=self._last_s, called=called, place=place)
+            request = PlanRequest(
+                readings=tuple(self._readings),
+                time_s=self._last_s,
+                called=called,
+                place=place,
+                doubted=self._doubted,
+            )
             self._readings.clear()
             self._task = asyncio.create_task(self._planner.plan(request))
 

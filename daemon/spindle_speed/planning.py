@@ -40,6 +40,8 @@ SENSITIVITY_EVERY_S = 60.0
 """The change per step of a sensor is worked out this often."""
 RESONANCES, RESONANCE_EVERY_S = 480, 180.0
 """So many resonances are kept for people to look at, this far apart [s]: a day of them."""
+NAMED = 3
+"""Sensors that are named in one sentence."""
 DRAWN = 300
 """About so many frequencies of a response are kept for the same."""
 STEPS_UNKNOWN = (
@@ -77,6 +79,15 @@ class OperationPlanning:
             self.estimator = TrackedToolPoint(tracker, labels)
         except (ValueError, IdentificationError) as error:
             raise StabilityError(f"{tuning.thermomechanical_model}: {error}") from error
+        self._places = [place for axis in assemblies for name in model.axes[axis].signals for place in labels[name]]
+
+    def disbelief(self, doubted: Mapping[int, str]) -> str:
+        """Return which sensors of its signals are not believed, and why, '' when all are."""
+        said = [*dict.fromkeys(doubted[place] for place in self._places if place in doubted)]
+        if not said:
+            return ""
+        more = f" and {len(said) - NAMED} more" if len(said) > NAMED else ""
+        return f"{', '.join(said[:NAMED])}{more}: see to it, then position the work again; the speed is frozen"
 
     def planner(self, called: CalledOperation) -> SpeedPlanner:
         """Return what plans the speed of an operation; raises StabilityError where it cannot be planned."""
@@ -213,14 +224,16 @@ class SpeedPlanning:
                 planning.estimator.renew(time_s, np.array(degc, dtype=np.float64))
             if place == request.place and request.called is not None:
                 self._diagrams.note(request.called.tool_number, request.time_s, planning.estimator.known)
-                planned = self._planned(planning, request.called, request.time_s)
+                planned = self._planned(planning, request.called, request.time_s, planning.disbelief(request.doubted))
         return planned
 
-    def _planned(self, planning: OperationPlanning, called: CalledOperation, time_s: float) -> PlannedSpeed:
+    def _planned(
+        self, planning: OperationPlanning, called: CalledOperation, time_s: float, not_believed: str
+    ) -> PlannedSpeed:
         known = planning.estimator.known
-        plan, problem, changes, diagram = None, "no temperatures yet", dict[str, float](), None
+        plan, problem, changes, diagram = None, not_believed or "no temperatures yet", dict[str, float](), None
         if known is not None:
-            problem = known.inhibit
+            problem = "; ".join(filter(None, (not_believed, known.inhibit)))
             try:
                 planner = self._planner_of(planning, called)
                 changes = self._changes(planning, planner, called, time_s)

@@ -31,7 +31,7 @@ CALLED = CalledOperation(tool_number=1, program=1000, speed_rpm=9000.0, feed_mm_
 
 
 def asked(time_s: float = 1000.0, sensors: int = 5) -> PlanRequest:
-    return PlanRequest(readings=((time_s, (28.0,) * sensors),), time_s=time_s, called=CALLED, place=0)
+    return PlanRequest(readings=((time_s, (28.0,) * sensors),), time_s=time_s, called=CALLED, place=0, doubted={})
 
 
 def ends(process_id: int) -> bool:
@@ -102,7 +102,9 @@ async def test_it_answers_what_the_planning_says(tmp_path: Path) -> None:
         assert planned is not None
         assert planned.plan is not None
         assert planned == await ThreadPlanner(child.configuration).plan(asked())
-        nothing = PlanRequest(readings=((1001.0, (float("nan"),) * 5),), time_s=1001.0, called=None, place=None)
+        nothing = PlanRequest(
+            readings=((1001.0, (float("nan"),) * 5),), time_s=1001.0, called=None, place=None, doubted={}
+        )
         assert await child.planner.plan(nothing) is None
 
 

@@ -101,6 +101,7 @@ class SpeedRig:
             quality=codes,
             reason=codes.copy(),
             age_s=np.zeros(5),
+            believed_degc=np.full(5, self.degc),
             trace=Trace(first_byte=now, last_byte=now, cleansed=now),
         )
 
