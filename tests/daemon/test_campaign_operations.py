@@ -32,7 +32,7 @@ class Bench:
 
     def __init__(self) -> None:
         self.ledger = Ledger(OperationsWatch.NAMES)
-        self.watch = OperationsWatch(self.ledger, MACROS.request)
+        self.watch = OperationsWatch(self.ledger, MACROS.request, 0.7)
         self.watch.heard(CALM_FROM_S - 1.0, claims(), 0.0)
 
     def checked(self, name: str) -> tuple[int, int]:
@@ -114,6 +114,7 @@ def test_a_released_model_must_estimate(bench: Bench, model: str, violated: int)
     bench.watch.round(CALM_FROM_S + 10.0, claims(model="m1"))
     bench.watch.round(CALM_FROM_S + 90.0, claims(model="m1", doubtful=True))
     bench.watch.round(CALM_FROM_S + 95.0, claims(model="m1", in_domain=False))
+    bench.watch.round(CALM_FROM_S + 96.0, claims(model="m1", confidence=0.5))
     assert bench.checked("model_taken_up") == (0, 0), "not yet, and not while it waits for states or for an estimate"
     bench.watch.round(CALM_FROM_S + 100.0, claims(model=model))
     assert bench.checked("model_taken_up") == (1, violated)

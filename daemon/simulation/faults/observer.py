@@ -67,8 +67,9 @@ class Observer:
         self.world = CampaignWorld(machine, configuration, script, self, epoch_utc_s=EPOCH_UTC_S, seed=result.seed)
         ledger = result.ledger
         self._writes = WriteWatch(configuration, ledger)
-        self._recovery = RecoveryWatch(ledger, configuration.compensation.output.min_confidence)
-        self.operations = OperationsWatch(ledger, self._map.request)
+        least = configuration.compensation.output.min_confidence
+        self._recovery = RecoveryWatch(ledger, least)
+        self.operations = OperationsWatch(ledger, self._map.request, least)
         self._truth = TruthKeeper(configuration, self.world, self.operations, models)
         twin = Twin(configuration, models.loaded(), machine.body.sensors.ids)
         self._twins = TruthWatch(configuration, ledger, twin)

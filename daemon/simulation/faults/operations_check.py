@@ -67,9 +67,11 @@ class OperationsWatch:
         "wrong_sensor_left_out",
     )
 
-    def __init__(self, ledger: Ledger, request: RequestMacrosConfig | None) -> None:
+    def __init__(self, ledger: Ledger, request: RequestMacrosConfig | None, least: float) -> None:
+        """`least`: an estimate of less confidence is not followed, and no other model goes on from it."""
         self._ledger = ledger
         self._request = request
+        self._least = least
         self._waiting: Request | None = None
         self.latest: Request | None = None
         self._busy_until_s = 0.0
@@ -181,7 +183,8 @@ class OperationsWatch:
         model_id, _ = self._model_due
         taken = claims.model == model_id
         waits = claims.waits and time_s < self._model_due[1] + WAITS_S
-        if (claims.doubtful or not claims.in_domain or waits) and not taken:
+        followed = claims.confidence >= self._least and claims.in_domain and not claims.doubtful
+        if (waits or not followed) and not taken:
             return
         what = "" if taken else f"{time_s:.1f} s: {claims.model} estimates, {model_id} was released; {claims.waits}"
         self._ledger.check("model_taken_up", taken, what)
