@@ -48,9 +48,9 @@ class Store(Protocol):
 def unproven_h(connection: sqlite3.Connection, now_utc_s: float) -> int:
     """Return by how many hours the clock may be ahead: it went on by them while nothing was recorded.
 
-    A gap counts as time that has passed once as many hours have records after it, or `LONGEST_UNPROVEN_H`: a machine that
-    was off for three weeks needs no more than that its history stays for that much longer; a clock that is wrong by
-    years would delete all of it.
+    A gap counts as time that has passed once as many hours have records after it, or `LONGEST_UNPROVEN_H`: the history
+    of a machine that was off for three weeks stays for that much longer; a clock that is wrong by years would delete
+    all of it.
     """
     limits = {"hour_ms": HOUR_MS, "now": int(now_utc_s * 1e3) // HOUR_MS, "limit": LONGEST_UNPROVEN_H}
     unproven, later = 0, limits["now"]
@@ -123,8 +123,8 @@ class Housekeeping:
         said_h, self._said_h = self._said_h, ahead_h if ahead_h >= SAID_H else 0
         text = (
             f"the clock went on by {ahead_h / 24.0:.1f} d in which nothing was recorded: nothing is deleted on their "
-            f"account until the machine has recorded for as long, or for {LONGEST_UNPROVEN_H / 24:.0f} d; if the clock is "
-            "wrong, set it right before then"
+            f"account until the machine has recorded for as long, or for {LONGEST_UNPROVEN_H / 24:.0f} d; if the clock "
+            "is wrong, set it right before then"
         )
         if self._said_h > said_h:
             self._history.event("housekeeping", text, "daemon")

@@ -1,4 +1,4 @@
-"""Retention by the calendar: a clock that is far ahead deletes nothing, a machine that was switched off loses nothing."""
+"""Retention by the calendar: a clock far ahead deletes nothing, a machine that was switched off loses nothing."""
 
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
