@@ -70,9 +70,9 @@ class ModelInUse:
         give_memory_back()  # of reading the file and of preparing the model
 
     def prepare(self, now_s: float) -> None:
-        """Fill the states from the history of the last hours; called once, in a thread, before the first sample."""
-        if self._online.history_min > 0.0:
-            self._online.rebuild(self._samples(now_s))
+        """Fill states and watch from the history of the last hours; once, in a thread, before the first sample."""
+        if self._online.memory_min > 0.0:
+            self._online.rebuild(self._samples(now_s, self._online.memory_min))
             log.info("states.rebuilt", model=self.model.model_id, filled=round(self._online.filled, 3))
 
     def on_sample(self, now_s: float, degc: FloatArray, speed_rpm: float) -> None:
@@ -101,7 +101,7 @@ class ModelInUse:
                 time_min=then_s / 60.0,
                 now_min=now_s / 60.0,
                 degc=(reference.degc if inputs is None else inputs)[self._inputs],
-                history=self._samples(then_s) if late and not stateless else None,
+                history=self._samples(then_s, self._online.history_min) if late and not stateless else None,
                 excluded=excluded,
                 kept=kept,
             )
@@ -177,7 +177,7 @@ class ModelInUse:
             "running, then position the work again"
         )
 
-    def _samples(self, until_s: float) -> Samples:
-        span_s = self._online.history_min * 60.0 + SPARE_PERIODS * self._period_s
+    def _samples(self, until_s: float, past_min: float) -> Samples:
+        span_s = past_min * 60.0 + SPARE_PERIODS * self._period_s
         history = self._history(until_s - span_s, until_s, self._period_s)
         return ((time_s / 60.0, degc[self._inputs], rpm) for time_s, degc, rpm in history)

@@ -72,6 +72,11 @@ class OnlineModel(Protocol):
         ...
 
     @property
+    def memory_min(self) -> float:
+        """So much of the past the states, or a watch of the sensors alone, remember [min]; at least `history_min`."""
+        ...
+
+    @property
     def inputs(self) -> str:
         """What the history must hold, in words."""
         ...
@@ -82,7 +87,7 @@ class OnlineModel(Protocol):
         ...
 
     def rebuild(self, history: Samples) -> None:
-        """Fill the states from the history; once, before the first sample."""
+        """Fill what remembers the past from the history; once, before the first sample."""
         ...
 
     def on_sample(self, time_min: float, degc: FloatArray, speed_rpm: float) -> None:

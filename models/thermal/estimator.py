@@ -19,6 +19,7 @@ from models.thermal.known_history import KnownHistory
 from models.thermal.left_out import LeftOut
 from models.thermal.model import Domain, LinearParameters
 from models.thermal.model_state import ModelState
+from models.thermal.sensor_watch import SLOW_MIN
 from models.thermal.solution import band_factor, far_confidence, fast_confidence
 from models.thermal.watch import SensorFault, Watcher, WatchState
 
@@ -51,6 +52,8 @@ class LinearEstimator:
         self._past = KnownHistory(model, self._bridge_min)
         self.history_min = SETTLED_LAGS * max((*model.layout.lags_min, *model.layout.speed_lags_min), default=0.0)
         """So much history the states need [min]."""
+        self.memory_min = self.history_min if model.watch is None else max(self.history_min, SETTLED_LAGS * SLOW_MIN)
+        """So much of the past the states, or the watch alone, remember [min]."""
 
     def begin(self, time_min: float, degc: FloatArray, speed_rpm: float = float("nan")) -> ModelState:
         """Return the state at a first sample, as if it had lasted for ever; how far that is so is not known.

@@ -63,6 +63,11 @@ class LinearOnline:
         return self._estimator.history_min
 
     @property
+    def memory_min(self) -> float:
+        """So much of the past the states, or the watch alone, remember [min]."""
+        return self._estimator.memory_min
+
+    @property
     def inputs(self) -> str:
         """What the history must hold, in words."""
         return "temperatures and spindle speed" if self.model.layout.speed_lags_min else "temperatures"
@@ -75,8 +80,8 @@ class LinearOnline:
         return 0.0 if self._state is None else self._estimator.settled(self._state)
 
     def rebuild(self, history: Samples) -> None:
-        """Fill the states from the history; there is nothing to fill in a model without lags."""
-        if self.history_min > 0.0:
+        """Fill the states and the watch from the history; a model without lags and watch has nothing to fill."""
+        if self.memory_min > 0.0:
             self._state = self._estimator.rebuild(history, bridged=True)
 
     def on_sample(self, time_min: float, degc: FloatArray, speed_rpm: float) -> None:

@@ -67,7 +67,15 @@ def model_with_speed():
     return made
 
 
-def trained(table):
+@pytest.fixture(scope="module")
+def watched_without_lags(model):
+    """As the default family makes one where lags do not help: the watch has lags all the same."""
+    made = replace(trained(day(seed=1), "ridge"), watch=model.watch)
+    assert made.watch is not None and not made.layout.lags_min
+    return made
+
+
+def trained(table, family="lags"):
     degc, rpm, um = table
     recording = Recording(
         name="day",
@@ -78,7 +86,7 @@ def trained(table):
         displacement_names=("Z1",),
         displacements_um=um,
     )
-    made = train_family([recording], "lags", sample_s=60.0, created="2026-01-01T00:00:00+00:00").model
+    made = train_family([recording], family, sample_s=60.0, created="2026-01-01T00:00:00+00:00").model
     return replace(made, sensor_ids=SENSOR_IDS)
 
 
@@ -296,6 +304,46 @@ async def test_a_sensor_that_was_excluded_stays_out_over_a_restart_and_a_reload_
 
     await shop.refer()
     assert shop.latest.imputed == (), "a new reference admits every sensor"
+    await shop.end()
+
+
+@pytest.mark.parametrize("hours", [2, 3, 8, 10, 11, 12])
+async def test_a_watch_alone_goes_on_from_the_history_after_a_restart(tmp_path, watched_without_lags, hours):
+    """It began anew, in a machine that warms up: healthy sensors did not count for the rest of the reference."""
+    shop = Shop(tmp_path, watched_without_lags)
+    await shop.prepare()
+    await shop.run(63 * hours)
+    reference = await shop.refer()
+    await shop.run(5)
+    await shop.end()
+
+    shop.begin()
+    await shop.prepare()
+    assert shop.task.inhibit() == "", "a model without lags waits for no history"
+    await shop.task._take(shop.taken_up(reference))
+    for minute in range(60):
+        await shop.run(1)
+        assert shop.latest.imputed == (), minute
+    await shop.end()
+
+
+async def test_what_a_watch_alone_has_excluded_stays_out_over_a_restart(tmp_path, watched_without_lags):
+    shop = Shop(tmp_path, watched_without_lags)
+    await shop.prepare()
+    await shop.run(16.3 * 60)
+    reference = await shop.refer()
+    await shop.run(10)
+    row = int(shop.minute)
+    shop.degc[row + 1 :, 0] += np.minimum(np.arange(len(shop.degc) - row - 1) * 0.3, 6.0)
+    await shop.run(40)
+    assert shop.latest.imputed == (1,)
+    await shop.end()
+
+    shop.begin()
+    await shop.prepare()
+    await shop.task._take(shop.taken_up(reference))
+    await shop.run(1)
+    assert shop.latest.imputed == (1,)
     await shop.end()
 
 

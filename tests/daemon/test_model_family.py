@@ -87,7 +87,7 @@ class MeanOnline:
     def __init__(self, model: MeanTemperature) -> None:
         self.model, self._then = model, np.full(len(model.sensor_ids), np.nan)
 
-    history_min, filled, inputs = 0.0, 1.0, "temperatures"
+    history_min, memory_min, filled, inputs = 0.0, 0.0, 1.0, "temperatures"
     kept: dict[str, Any] | None = None
 
     def level_um(self, doubt_k: FloatArray) -> float:

@@ -12,7 +12,6 @@ from models.thermal.family import ThermalModel
 from models.thermal.features import BoolArray, IntArray
 from models.thermal.positions import beyond_positions, trust_in_positions
 from models.thermal.training.inputs import Inputs
-from models.thermal.training.trial import HISTORY_MIN
 
 NO_WEIGHT, FULL_WEIGHT = 0.7, 0.9
 """Confidence from which an estimate counts, and from which it counts whole: the defaults of the output."""
@@ -63,13 +62,10 @@ def follow(model: ThermalModel, inputs: Inputs, rows: IntArray) -> Followed:
     speed_rpm = np.full(inputs.rows, np.nan) if inputs.speed_rpm is None else inputs.speed_rpm
     speed_rpm = np.where(inputs.speed_missing, np.nan, speed_rpm)
     time_min, first = inputs.time_min, int(rows[0])
-    begins = time_min[first] - (online.history_min or HISTORY_MIN) - SPARE_PERIODS * inputs.period_min
+    begins = time_min[first] - online.memory_min - SPARE_PERIODS * inputs.period_min
     past = np.flatnonzero((inputs.run[:first] == inputs.run[first]) & (time_min[:first] >= begins))
-    if online.history_min > 0.0:
+    if online.memory_min > 0.0:
         online.rebuild((float(time_min[row]), degc[row], float(speed_rpm[row])) for row in past)
-    else:  # its watch has lags all the same, and has run until here
-        for row in past:
-            online.on_sample(float(time_min[row]), degc[row], float(speed_rpm[row]))
     ids = np.asarray(model.sensor_ids)
     absent = np.zeros(len(ids), dtype=np.bool_)
     shape = (len(rows), len(model.channels))
