@@ -1,6 +1,6 @@
 o<toolpoint> sub
 (TOOLPOINT GUARD V{version} FOR LINUXCNC, FILE toolpoint.ngc IN [RS274NGC]SUBROUTINE_PATH)
-(o<toolpoint> call [1] AT SAFE POINTS ONLY, TOOL CLEAR OF THE WORK, G21 G40 G80 G54)
+(o<toolpoint> call [1] AT SAFE POINTS ONLY, TOOL CLEAR OF THE WORK, G8 G21 G40 G80 G54)
 @request
 (o<toolpoint> call [2] [1] REFERENCE, [2] [2] [AXIS] [MM] PROBE, [2] [3] [0] [TOOL] TOOL CHANGE)
 @end
@@ -113,7 +113,7 @@ o40 elseif [[#<enable> LT 0] OR [#<enable> GT {all_bits}] OR [FIX[#<enable>] NE 
 #<status>=5
 o40 elseif [#<_metric> NE 1]
 #<status>=6
-o40 elseif [[#<_ccomp> NE 400] OR [[#<_motion_mode> GE 810] AND [#<_motion_mode> LE 890]] OR [#<_coord_system> NE 540]]
+o40 elseif [[#<_ccomp> NE 400] OR [[#<_motion_mode> GE 810] AND [#<_motion_mode> LE 890]] OR [#<_coord_system> NE 540] OR [#<_lathe_diameter_mode> EQ 1]]
 #<status>=7
 o40 elseif [#<trouble> NE 0]
 #<status>=#<trouble>
@@ -158,7 +158,7 @@ o50 endif
 (APPLY THE DIFFERENCE, AXIS BY AXIS, EACH WRITTEN AHEAD)
 o60 if [[#<what> EQ 1] AND [[#<status> EQ 0] OR [[#<status> EQ 3] AND [{zero}]]]]
 @offsets
-o61{number} if [[FIX[#<enable>/{bit}] MOD 2] EQ 1]
+o61{number} if [[[FIX[#<enable>/{bit}] MOD 2] EQ 1] AND [#<status> NE 9]]
 #<d>=[ROUND[#<v{number}>{to_mm}/{increment}]*{increment}]
 o62{number} if [#<d> GT {bound}]
 #<d>={bound}
@@ -179,13 +179,17 @@ o66{number} if [ABS[#<d>] GE {half}]
 #{after}=[#{offset}+#{planned}-#{mirror}]
 #{pending}={number}
 G10 L2 P1 {letter}[#{after}]
+o67{number} if [ABS[#{offset}-#{after}] LT {half}]
 #{mirror}=#{planned}
 #{pending}=0
+o67{number} else
+#<status>=9
+o67{number} endif
 o66{number} endif
 o61{number} endif
 @end
 @slopes
-o61{number} if [[FIX[#<enable>/{bit}] MOD 2] EQ 1]
+o61{number} if [[[FIX[#<enable>/{bit}] MOD 2] EQ 1] AND [#<status> NE 9]]
 #<to>=[{position}-[{pivot}]]
 o62{number} if [#<status> EQ 3]
 #<to>=#{place}
@@ -216,9 +220,13 @@ o66{number} if [ABS[#<new>-#{mirror}]+ABS[#<way>] GE {half}]
 #{after}=[#{offset}+#<d>]
 #{pending}={number}
 G10 L2 P1 {letter}[#{after}]
+o67{number} if [ABS[#{offset}-#{after}] LT {half}]
 #{mirror}=#{planned}
 #{place}=#{planned_place}
 #{pending}=0
+o67{number} else
+#<status>=9
+o67{number} endif
 o66{number} endif
 o61{number} endif
 @end

@@ -11,6 +11,8 @@ from drivers.guard.check import PER_SECOND
 from drivers.guard.text import GuardStatus, GuardTextError, decimal
 from drivers.linuxcnc_pins import VACANT, Pins
 
+LETTERS = "XYZABCUVW"
+"""Of axes 1 to 9."""
 FIRST_OFFSET = 5220
 """#5221.. hold G54 of axis 1.. [mm]."""
 MAGIC = 20_261
@@ -20,7 +22,7 @@ WORDS: Mapping[GuardStatus, str] = {
     GuardStatus.VACANT: "TOOLPOINT VACANT MACRO",
     GuardStatus.OVERSIZE: "TOOLPOINT OVERSIZE VALUE",
     GuardStatus.INCH: "TOOLPOINT INCH MODE",
-    GuardStatus.MODAL: "TOOLPOINT NOT G40 G80 G54",
+    GuardStatus.MODAL: "TOOLPOINT NOT G8 G40 G80 G54",
     GuardStatus.MEMORY: "TOOLPOINT MEMORY DAMAGED",
     GuardStatus.UNSETTLED: "TOOLPOINT OFFSET UNSETTLED",
     GuardStatus.CHECK: "TOOLPOINT CHECK DIFFERS",
@@ -41,6 +43,11 @@ def linuxcnc_text(cnc: CncConfig, axes: Mapping[str, AxisConfig], *, machine: st
     macros, guard, pins = cnc.macros, cnc.guard, Pins.of(cnc)
     pin = {**pins.inputs, **pins.outputs}
     memory = memory_of(guard, axes)
+    for name, found in fanuc.guard_axes(axes, guard).items():
+        if (number := LETTERS.find(found.letter) + 1) != found.number:
+            raise GuardTextError(
+                f"cnc.guard.axes.{name}.number: axis {found.letter} of LinuxCNC is {number}, not {found.number}"
+            )
     rows = [
         row
         | {

@@ -259,3 +259,21 @@ async def test_a_machine_in_inches_is_not_written_to() -> None:
             await mill.write({"Z": 3.0})
         await mill.linuxcnc.mdi("o<toolpoint> call [1]")
         assert await mill.stands_mm() == pytest.approx(stood_mm, abs=1e-7)
+
+
+async def test_no_mode_of_the_program_makes_another_offset_of_the_value() -> None:
+    async with started() as mill:
+        await mill.linuxcnc.mdi("o<toolpoint> call [5]", "G10 L2 P1 X-50 Y-20", "G0 X10 Y10")
+        before = await mill.linuxcnc.position_mm()
+        modes = {"G7": "G8", "G91": "G90", "G93": "G94", "G92 X1": "G92.1", "G10 L2 P1 R30": "G10 L2 P1 R0"}
+        expected_um = 0.0
+        for mode, back in modes.items():
+            await mill.linuxcnc.mdi(mode)
+            await mill.write(dict.fromkeys("XYZ", expected_um + 1.0))
+            status = await mill.guard()
+            assert status is (GuardStatus.MODAL if mode == "G7" else GuardStatus.APPLIED), mode
+            expected_um += status is GuardStatus.APPLIED
+            await mill.linuxcnc.mdi(back, f"G0 X10 Y10 Z{WORK_MM}")
+            moved_mm = [a - b for a, b in zip(await mill.linuxcnc.position_mm(), before, strict=True)]
+            assert moved_mm == pytest.approx([expected_um / 1000.0] * 3, abs=1e-7), mode
+            assert await mill.applied_um() == pytest.approx(expected_um), mode

@@ -36,3 +36,6 @@ def test_the_guard_of_linuxcnc_is_for_linuxcnc_and_no_other_is() -> None:
     config = cnc_config(linuxcnc={})
     with pytest.raises(GuardTextError, match="needs the pins of"):
         guard_text(config.macros, axes, config.guard)
+    numbered = cnc_config(linuxcnc={}, guard={"axes": {"Z": {"letter": "W", "number": 4}}, "dialect": "linuxcnc"})
+    with pytest.raises(GuardTextError, match=r"axes\.Z\.number: axis W of LinuxCNC is 9, not 4"):
+        linuxcnc_text(numbered, axes)
