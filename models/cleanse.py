@@ -187,7 +187,7 @@ def cleanse_cycle(
     held = ~accepted & known & (elapsed_s <= rules.stale_after_s)
     unconfirmed = returning | (change_degc <= allowed_degc)
     why = np.where(usable, np.where(in_range, _doubted(unconfirmed), np.uint8(Reason.OUT_OF_RANGE)), _unusable(reason))
-    keeps_reason = held | ~known | in_range
+    keeps_reason = held | ~known | in_range | (reason == Reason.OTHER_UNIT)
     why = np.where(accepted, np.uint8(Reason.NONE), np.where(keeps_reason, why, np.uint8(Reason.STALE)))
     verdict = np.where(accepted, np.uint8(Quality.GOOD), np.where(held, np.uint8(Quality.HELD), np.uint8(2)))
     return CleansingResult(

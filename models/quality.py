@@ -42,6 +42,8 @@ class Reason(IntEnum):
     """A first value, a value after a gap or a change above the noise that further readings have not confirmed yet."""
     ELSEWHERE = 12
     """A displacement channel of another source, which brings rows of its own."""
+    OTHER_UNIT = 13
+    """All sensors of its input went over to another unit."""
 
 
 GOOD, ACCEPTED = int(Quality.GOOD), int(Reason.NONE)
@@ -68,4 +70,5 @@ _WORDS = {
     Reason.UNREADABLE: "unreadable field",
     Reason.UNCONFIRMED: "not yet confirmed by further readings",
     Reason.ELSEWHERE: "measured by another source",
+    Reason.OTHER_UNIT: "its source says another unit than before",
 }

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from config.schema import Configuration
+from daemon.estimation.unit_watch import UnitWatch
 from drivers.clock import Clock
 from models.align import RollingMean
 from models.cleanse import CleansingRules, CleansingState, IndexArray, age_s, cleanse_cycle, initial_state
@@ -35,6 +36,7 @@ class Cleansing:
         self._standing = {
             name: StandingInput(degc=np.full(len(places), np.nan)) for name, (places, _) in self._lines.items()
         }
+        self.units = UnitWatch(temperatures, {name: places for name, (places, _) in self._lines.items()})
         self._sensor_ids = temperatures.sensor_ids
         self._period_s = np.zeros(len(position))
         for indices, period_s in self._lines.values():
@@ -101,7 +103,9 @@ class Cleansing:
         return f"{named} came back at a level that is doubted, and too much rests on it: position the work again"
 
     def stands(self, now_s: float) -> str:
-        """Return which line or source seems to answer from memory, '' when none does."""
+        """Return which line or source seems to answer from memory or in another unit, '' when none does."""
+        if why := self.units.why():
+            return why
         for name, each in self._standing.items():
             if stood_s := each.stands_s(now_s):
                 return (
@@ -112,10 +116,10 @@ class Cleansing:
 
     def refusal(self, usable: int, now_s: float) -> str:
         """Return why the means of now are no reference, '' when they are; `usable`: how many sensors have one."""
-        if usable == 0:
-            return f"no temperature has arrived in the last {self.window_s:.0f} s"
         if why := self.stands(now_s):
             return why
+        if usable == 0:
+            return f"no temperature has arrived in the last {self.window_s:.0f} s"
         mixed = np.flatnonzero(now_s - self._jumped_at_s <= self.window_s)[:NAMED]
         if not len(mixed):
             return ""
@@ -159,11 +163,14 @@ class Cleansing:
         """Take a cycle of one line; return the temperatures of the machine after it."""
         indices, period_s = self._lines[cycle.line]
         now_s = cycle.trace.first_byte.monotonic_s
-        result = cleanse_cycle(
-            self._rules, self._state, indices, cycle.degc, cycle.quality, cycle.reason, now_s, period_s
-        )
         read = np.where(cycle.quality == Quality.GOOD, cycle.degc, np.nan)
         self._standing[cycle.line] = renewed_input(self._standing[cycle.line], read, now_s)
+        quality, reason = cycle.quality, cycle.reason
+        if self.units.says_other(cycle.line, self._standing[cycle.line].degc):
+            told = quality == Quality.GOOD
+            quality = np.where(told, np.uint8(Quality.MISSING), quality)
+            reason = np.where(told, np.uint8(Reason.OTHER_UNIT), reason)
+        result = cleanse_cycle(self._rules, self._state, indices, cycle.degc, quality, reason, now_s, period_s)
         before_degc, self._state = self._state.accepted_degc[indices], result.state
         self._measured[indices] = cycle.degc
         degc = self.latest.degc.copy() if self.latest is not None else np.full(len(self._measured), np.nan)
@@ -176,10 +183,11 @@ class Cleansing:
             degc[stale] = np.nan
             unsaid = stale & (self._quality != Quality.MISSING)
             self._quality[unsaid], self._reason[unsaid] = Quality.MISSING, Reason.STALE
-        usable = (cycle.quality == GOOD) & np.isfinite(cycle.degc)
+        usable = (quality == GOOD) & np.isfinite(cycle.degc)
         heard = now_s - self._usable_at_s[indices] <= HELD_PERIODS * period_s
         returned = result.returned & self._after_silence(indices, usable, now_s)
         good = result.quality == GOOD
+        self.units.counted(indices[good], result.degc[good])
         far = good & (np.abs(result.degc - before_degc) > self._rules.max_change_degc)
         far &= ~result.straight
         jumped = (result.new_level | (far & heard)) & ~returned & np.isfinite(before_degc)

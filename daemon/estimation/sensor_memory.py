@@ -11,7 +11,7 @@ import structlog
 
 from daemon.estimation.model_in_use import ModelInUse
 from daemon.history.writer import HistoryWriter
-from daemon.state_store.documents import LevelChange, SensorLevelsDocument, SensorsLeft
+from daemon.state_store.documents import InOtherUnit, LevelChange, SensorLevelsDocument, SensorsLeft
 from daemon.state_store.store import StateStore
 from drivers.clock import Clock
 from models.control.reference_records import LabelOrigin, SensorsSinceReference
@@ -240,9 +240,13 @@ class LevelMemory:
         self._sensor_ids = tuple(sensor_ids)
         self._clock = clock
         self._kept = first_levels(len(self._sensor_ids))
+        self._units = self._store.get(InOtherUnit) or InOtherUnit(units={}, degc={})
 
-    def keep(self, levels: SensorLevels) -> None:
-        """Store the levels, unless they are what is stored."""
+    def keep(self, levels: SensorLevels, in_other_unit: InOtherUnit) -> None:
+        """Store the levels, and which inputs say another unit, unless that is what is stored."""
+        if in_other_unit is not self._units:
+            self._units = in_other_unit
+            self._store.put(in_other_unit)
         before, self._kept = self._kept, levels
         same = (
             levels.left is before.left,
@@ -251,6 +255,10 @@ class LevelMemory:
         )
         if not all(same):
             self._store.put(self._document(levels))
+
+    def units_restored(self) -> InOtherUnit:
+        """Return the inputs that said another unit when the previous run ended."""
+        return self._units
 
     def restored(self) -> SensorLevels:
         """Return the levels of the previous run; sensors that are not of this machine any more are left out."""

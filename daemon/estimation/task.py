@@ -108,9 +108,7 @@ class ThermalTask:
         on_change: Callable[[], None] = lambda: None,
     ) -> None:
         temperatures = configuration.temperatures
-        self._clock = clock
-        self._history = history
-        self._telemetry = telemetry
+        self._clock, self._history, self._telemetry = clock, history, telemetry
         self._deliver = deliver
         self._on_change = on_change
         self._temperature_is_shown = configuration.cnc.temperature_macro is not None or (
@@ -134,6 +132,7 @@ class ThermalTask:
         self._since = SinceReference(self._sensor_ids, self._labels)
         self._levels = LevelMemory(history, self._sensor_ids, clock)
         self._cleansing.levels = self._levels.restored()
+        self._cleansing.units.recall(self._levels.units_restored())
         self._tool_um_per_k = _tool_um_per_k(configuration)
         self._heard = np.zeros(len(self._sensor_ids), dtype=bool)
         self._say_faults = RateLimit[TemperatureCycle](_log_faults)
@@ -241,7 +240,7 @@ class ThermalTask:
             self._deliver(EstimateComing(line=cycle.line))
             await asyncio.sleep(0)
         temperatures = self._cleansing.on_cycle(cycle)
-        self._levels.keep(self._cleansing.levels)
+        self._levels.keep(self._cleansing.levels, self._cleansing.units.found)
         self.cycles_received += 1
         self._telemetry.arrived(cycle)
         renewed = self._estimate(temperatures)

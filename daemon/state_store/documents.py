@@ -81,3 +81,13 @@ class SensorLevelsDocument:
     uncertainty_k: Mapping[int, float]
     left: tuple[SensorsLeft, ...]
     changes: tuple[LevelChange, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InOtherUnit:
+    """Inputs that say another unit than is configured; nothing of them counts."""
+
+    units: Mapping[str, str]
+    """By name of the input."""
+    degc: Mapping[int, float]
+    """What counted last of their sensors [degC], by ID."""

@@ -12,6 +12,7 @@ from daemon.history.writer import HistoryWriter
 from daemon.state_store.codec import DocumentError, from_json, to_json
 from daemon.state_store.documents import (
     DaemonAlive,
+    InOtherUnit,
     OutputFault,
     SensorLevelsDocument,
     SpindleSpeeds,
@@ -32,6 +33,7 @@ KEYS: dict[type, str] = {
     OutputFault: "fault",
     ReferenceDocument: "reference",
     SensorLevelsDocument: "sensor_levels",
+    InOtherUnit: "in_other_unit",
     SpindleSpeeds: "spindle_speed",
     SpindleSpeedSwitch: "spindle_speed_off",
 }

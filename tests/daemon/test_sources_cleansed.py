@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,11 +12,15 @@ from config.loader import parse_yaml_model
 from config.sample import sample_configuration
 from config.schema import Configuration
 from daemon.estimation.cleansing import Cleansing
+from daemon.estimation.sensor_memory import LevelMemory
 from daemon.history.layout import MachineLayout
+from daemon.history.writer import HistoryWriter
+from daemon.state_store.documents import InOtherUnit
 from drivers.clock import SystemClock
 from drivers.readings import RowMaker, cycle_of
 from models.quality import Quality, Reason
 from models.records import Instant, MachineTemperatures, Trace
+from models.sensor_levels import first_levels
 
 BOX = {"id": 9, "component": "Spindle unit", "label": "Nose", "address": 0, "open": [-999]}
 
@@ -35,6 +40,10 @@ class Fed:
         (source,) = configuration.temperatures.sources or ()
         self._maker = RowMaker(source)
         self._cleansing = Cleansing(configuration, SystemClock())
+
+    def refusal(self, at_s: float) -> str:
+        """Why a reference is refused."""
+        return self._cleansing.refusal(int(np.isfinite(self._cleansing.mean_degc()).sum()), at_s)
 
     def __call__(self, at_s: float, *numbers: float) -> MachineTemperatures:
         now = Instant(monotonic_s=at_s, utc_s=at_s, real_s=at_s)
@@ -80,3 +89,40 @@ def test_an_open_sensor_is_held_and_then_missing_with_its_reason() -> None:
     assert held.quality[4] == Quality.HELD and held.degc[4] == 20.0 and held.reason[4] == Reason.DEVICE_ERROR
     gone = [fed(60.0 + 10.0 * i, -999.0, 20.0) for i in range(1, 8)][-1]
     assert np.isnan(gone.degc[4]) and gone.degc[5] == 20.0
+
+
+@pytest.mark.parametrize("silent_s", [10.0, 600.0])
+def test_a_box_that_is_switched_to_degf_counts_for_nothing_and_refuses_the_reference(silent_s: float) -> None:
+    fed, last_s = Fed(), 0.0
+    for i in range(12):
+        last_s = 10.0 * i
+        fed(last_s, 20.0, 24.0)
+    for i in range(40):
+        last_s += silent_s if i == 0 else 10.0
+        found = fed(last_s, 68.0 + 0.1 * i, 75.2 + 0.1 * i)
+        assert (found.quality[4:] != Quality.GOOD).all() and (found.reason[4:] == Reason.OTHER_UNIT).all()
+        why = fed.refusal(last_s)
+        assert "box" in why and "degF" in why and "set its unit back" in why
+    for _ in range(20):
+        last_s += 10.0
+        found = fed(last_s, 22.2, 26.2)
+    assert of_box(found) == [22.2, 26.2] and fed.refusal(last_s) == ""
+
+
+async def test_that_a_box_says_another_unit_outlives_a_restart(tmp_path: Path) -> None:
+    configuration = machine()
+    layout = MachineLayout.from_configuration(configuration)
+    found = InOtherUnit(units={"box": "degF"}, degc={9: 20.0, 10: 24.0})
+    for kept in (found, None):
+        history = HistoryWriter(tmp_path / "h.sqlite", clock=SystemClock(), machine=layout)
+        memory = LevelMemory(history, layout.sensor_ids, SystemClock())
+        history.start()
+        if kept is not None:
+            memory.keep(first_levels(len(layout.sensor_ids)), kept)
+        await history.flushed()
+        history.close()
+    fed = Fed()
+    fed._cleansing.units.recall(memory.units_restored())
+    assert [fed(10.0 * i, 80.0, 84.0).quality[4] == Quality.GOOD for i in range(12)] == [False] * 12
+    assert "degF" in fed.refusal(120.0)
+    assert of_box([fed(130.0 + 10.0 * i, 27.0, 29.0) for i in range(4)][-1]) == [27.0, 29.0] and not fed.refusal(160.0)
