@@ -43,14 +43,8 @@ WHOLE_SHARE = 0.9
 LEAST_SHARE = 0.5
 """... and one that is for less than this did not follow: the replay ends with 1."""
 LINE = "recording"
-NOT_POSITIONED = "has not passed its positioning"
-OF_THE_WIRES = ("no link to the CNC", "could not be polled", NOT_POSITIONED, "echo is vacant")
+OF_THE_WIRES = ("no link to the CNC", "could not be polled", "has not passed its positioning", "echo is vacant")
 """What keeps the output from following though the simulated wires are whole: a computer too busy for the speed."""
-NEAR_ZERO = (
-    "; where that does not help and the temperatures are near 0 degC, as rises since the start are: they cannot be "
-    "played, because a node that sends 0.0 degC is taken for one that was reset, and no reference is set with it"
-)
-"""What else keeps a reference from being set in a replay: values that the simulated nodes cannot send."""
 OF_THE_MODEL = ("confidence", "outside the range")
 FAST_MARGIN = 1.5
 """A change within a cycle may be so many times the fastest of the recording."""
@@ -188,11 +182,10 @@ class Following:
         if not self.warning:
             return ""
         if any(words in self.why for words in OF_THE_WIRES):
-            again = (
+            return (
                 f"nothing in the recording does that: this computer is too busy to play it at --speed {speed:g}; "
                 f"play it again at --speed {max(speed / 4.0, 1.0):g}"
             )
-            return f"{again}{NEAR_ZERO}" if NOT_POSITIONED in self.why else again
         if any(words in self.why for words in OF_THE_MODEL):
             return (
                 "what was played goes where training did not, or begins without its past: record 2 runs like it and "

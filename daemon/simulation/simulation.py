@@ -2,9 +2,11 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from config.recordings.recording_map import RecordingMap
 from config.schema import Configuration
@@ -24,9 +26,13 @@ from drivers.sim.nc.program import demo_program, standing_program
 from drivers.sim.wires.opcua_server import ServerSecurity
 from drivers.sim.wires.runner import Witness, run_simulated_machine
 from drivers.sim.wires.source_wires import as_simulated
+from models.recordings.dataset import Recording
+from models.recordings.plausibility import are_rises
 
 DEMO_SEED = 1000
 """The demo's day; the shipped model was fitted on other days (`daemon.simulation.simulated_model`)."""
+RISES_FROM_DEGC = 20.0
+"""Rises since the start are played from here [degC]: a node that sends 0 degC is taken for one that was reset."""
 
 Report = Callable[[dict[str, Any]], None]
 
@@ -153,7 +159,7 @@ def recorded_simulation(
 ) -> Simulation:
     """Return a machine that plays a part of a recording."""
     try:
-        recording = read_recording(path, recording_map)
+        recording = as_sent(read_recording(path, recording_map))
         if hours is not None:
             recording = recording.between_hours(*hours)
         followed = tuple(axis.estimate for axis in configuration.compensation.outputs.values() if axis.estimate)
@@ -171,3 +177,11 @@ def recorded_simulation(
     except (DriverError, ValueError) as error:
         raise SimulationError(str(error)) from error
     return Simulation(machine=machine, configuration=configuration, clock=clock)
+
+
+def as_sent(recording: Recording) -> Recording:
+    """Return a whole recording with temperatures that nodes can send: rises since the start begin at 20 degC."""
+    if not are_rises(recording.temperatures_degc[:, : recording.sensors]):
+        return recording
+    offset_degc = np.where(np.arange(recording.temperatures_degc.shape[1]) < recording.sensors, RISES_FROM_DEGC, 0.0)
+    return replace(recording, temperatures_degc=recording.temperatures_degc + offset_degc)

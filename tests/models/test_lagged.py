@@ -214,6 +214,21 @@ def test_the_past_of_a_machine_at_rest_is_known_and_of_a_warm_one_becomes_so(
     assert known == sorted(known) and known[0] < 0.99 and known[-1] > 0.999
 
 
+def test_a_history_begins_where_a_temperature_was_measured(recording: Recording, model: LinearModel) -> None:
+    """Before, it began at the middle of training and counted as known: the watch then blamed sensors that jumped."""
+    estimator, silent = LinearEstimator(model), np.full(SENSORS, np.nan)
+    before = [(float(minute), silent, 0.0) for minute in range(-600, 0)]
+    elsewhere = [(time_min, degc - 15.0, rpm) for time_min, degc, rpm in history(recording)[:30]]
+    assert estimator.rebuild(before) is None
+    state, wanted = estimator.rebuild([*before, *elsewhere]), estimator.rebuild(elsewhere)
+    assert state is not None and wanted is not None
+    np.testing.assert_array_equal(state.lagged, wanted.lagged)
+    np.testing.assert_array_equal(state.unknown, wanted.unknown)
+    for time_min, degc, rpm in history(recording)[30:100]:
+        state = estimator.advance(state, time_min, degc - 15.0, rpm)
+    assert state.watch is not None and state.watch.faults == ()
+
+
 def test_who_begins_no_differently_than_training_began_is_at_rest(model: LinearModel) -> None:
     runs = [machine(cycles=1, minutes=150, seed=seed) for seed in range(4)]
     offsets_k = np.random.default_rng(5).normal(0.0, 1.0, (5, SENSORS))
