@@ -45,12 +45,12 @@ class OperationState:
         """The memory that counts when the operation comes again, and whether the NC has yet to cut with it."""
         return (self.memory, self.moved) if self.origin is None else (self.origin, False)
 
-    def seen(self, taken_rpm: float, phase: Phase) -> "OperationState":
-        """Return where the operation stands when the NC has taken this speed for it [1/min]."""
+    def seen(self, taken_rpm: float, *, cuts: bool) -> "OperationState":
+        """Return where the operation stands when the NC has taken this speed for it [1/min], and `cuts` with it."""
         if not self.moved:
             return self
         if taken_rpm == float(round(self.memory.commanded_rpm)):
-            return replace(self, moved=phase is not Phase.CUTTING, origin=None)
+            return replace(self, moved=not cuts, origin=None)
         if self.origin is None or taken_rpm == float(round(self.origin.commanded_rpm)):
             return self
         # the NC was quicker than a change that was decided anew: what it has taken is what counts

@@ -20,6 +20,7 @@ from daemon.spindle_speed.macro_block import DISABLED, MacroValues, SpeedBlock, 
 from daemon.spindle_speed.memory import OperationMemories, SpeedSwitch
 from daemon.spindle_speed.planner_process import SpeedWorker
 from daemon.spindle_speed.snapshot import speed_snapshot
+from daemon.spindle_speed.turning import TurningSpeed
 from daemon.spindle_speed.writer import SpeedWriteError, SpeedWriter
 from drivers.clock import Clock
 from drivers.contract import FatalDriverError
@@ -56,6 +57,7 @@ class Follower:
         self.writer = SpeedWriter(tuning, self._block, configuration.history.path, *journal.audited(self._block.ours))
         self.switch = SpeedSwitch(journal)
         self._decision = SpeedDecision(tuning, worker)
+        self._turning = TurningSpeed(tuning)
         self._operation_state: OperationState | None = None
         self._next_read_s = -math.inf
         self._found: MacroValues = {}
@@ -91,6 +93,7 @@ class Follower:
             self.worker.update(operation.called, operation.place if operation.wanted else None)
         else:
             self.worker.update(None, None)
+        self._hold_against(operation, sample, phase)
         if not self._inhibited:
             await self._serve(session, operation, phase, clock_s, now_s)
 
@@ -160,6 +163,17 @@ class Follower:
             return OperationState(memory=memory, decided=True, known_s=now_s, moved=True, origin=origin)
         return OperationState(memory=memory, moved=moved)
 
+    def _hold_against(self, operation: SpeedOperation | None, sample: CncSample, phase: Phase) -> None:
+        """Hold the spindle's speed against what the NC has taken; say once when they differ, and when they agree."""
+        state, taken_rpm, before = self._operation_state, None, self._turning.alarm
+        if operation is not None and state is not None and not (self._inhibited or self._withheld):
+            taken_rpm = self._taken_rpm(state, operation)
+        self._turning.update(taken_rpm, sample, phase)
+        if self._turning.alarm and not before:
+            self._journal.say("alarm", f"spindle speed: {self._turning.alarm}")
+        elif before and self._turning.cuts and not self._turning.alarm:
+            self._journal.say("speed", "the spindle turns at the speed that the NC has taken")
+
     def _range_rpm(self, operation: SpeedOperation) -> tuple[float, float]:
         """Return the lowest and highest speed that may be commanded for an operation [1/min]."""
         tuning, programmed_rpm = self._tuning, operation.made_for.speed_rpm
@@ -182,7 +196,7 @@ class Follower:
             self._operation_state = self._begun(operation, now_s)
         before = self._operation_state
         if (taken_rpm := self._taken_rpm(before, operation)) is not None:
-            before = before.seen(taken_rpm, phase)
+            before = before.seen(taken_rpm, cuts=self._turning.cuts)
         state = before if self._calls.waiting else self._decision.decide(before, operation, now_s, phase)
         if not await self._write(session, self._decision.pair(state, operation), operation, clock_s, now_s):
             return
@@ -253,7 +267,7 @@ class Follower:
         return speed_snapshot(
             state=state.value,
             reason=reason,
-            alarm=self._inhibited or alarm or self.worker.inhibit,
+            alarm=self._inhibited or self._turning.alarm or alarm or self.worker.inhibit,
             switched_on=not self.switch.inhibit,
             stands_off=stands_off,
             applied_rpm=self._block.applied_rpm(self._found),

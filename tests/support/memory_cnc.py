@@ -27,6 +27,7 @@ class MemoryNc:
         self.cannot: dict[str, str] = {}
         self.program, self.sequence_number, self.work_offset = 1000, 0, 54
         self.tool_number = 1
+        self.spindle_speed_rpm = 5000.0
         self.run = CncRun.START
         self.positions_mm: dict[str, float] = {}
         """What a poll tells, by the names of the configuration."""
@@ -91,7 +92,7 @@ class MemoryCnc:
             alarm=False,
             program=nc.program,
             sequence_number=nc.sequence_number,
-            spindle_speed_rpm=5000.0,
+            spindle_speed_rpm=nc.spindle_speed_rpm,
             motor_temperature_degc=30.0,
             clock_s=nc.clock_s,
             power_on_count=nc.power_on_count,

@@ -82,6 +82,7 @@ class SpeedRig:
         self.control.common, self.control.clock_s = self.nc.macros, self.nc.clock_s
         self.control.tool_number = self.nc.tool_number
         self.program.run(9020, **({"S": 9000.0, "F": 1800.0, "D": 2.0} | arguments))
+        self.nc.spindle_speed_rpm = self.control.spindle_rpm
         status = SpeedStatus(round(self.nc.macros.get(MACROS.echo_status) or 0.0))
         return self.control.spindle_rpm, self.control.feed_mm_min, status
 

@@ -1,0 +1,48 @@
+"""Holds the speed at which the spindle turns against the one that the NC has taken; only of that is something known."""
+
+import math
+
+from config.schema.spindle_speed import SpindleSpeedConfig
+from models.records import CncSample, Phase
+
+RUN_UP_S = 10.0
+"""A spindle may take so long to come to its speed [s]."""
+STANDS_RPM = 1.0
+
+
+class TurningSpeed:
+    """What the spindle does in the operation under way; owned by the control task."""
+
+    def __init__(self, tuning: SpindleSpeedConfig) -> None:
+        self._tuning = tuning
+        self._taken_rpm: float | None = None
+        self._off_since_s = math.nan
+        self.cuts = False
+        """It cuts now, and with the speed that was taken, or nobody says with which."""
+        self.alarm = ""
+        """Why what is known of the speed that was taken does not hold for the cut, '' when it does."""
+
+    def update(self, taken_rpm: float | None, sample: CncSample, phase: Phase) -> None:
+        """Take a poll; `taken_rpm`: what the NC has taken for the operation under way [1/min], None where nothing.
+
+        The alarm lasts until the spindle cuts at the speed that was taken, or another one is taken.
+        """
+        if taken_rpm != self._taken_rpm:
+            self._taken_rpm, self._off_since_s, self.alarm = taken_rpm, math.nan, ""
+        actual_rpm, now_s = abs(sample.spindle_speed_rpm), sample.time.monotonic_s
+        self.cuts = phase is Phase.CUTTING
+        if taken_rpm is None or not self.cuts or math.isnan(actual_rpm):
+            return
+        if abs(actual_rpm - taken_rpm) <= self._tuning.tolerance_rpm(taken_rpm):
+            self._off_since_s, self.alarm = math.nan, ""
+            return
+        self.cuts = False
+        if actual_rpm <= STANDS_RPM:
+            return
+        if math.isnan(self._off_since_s):
+            self._off_since_s = now_s
+        if not self.alarm and now_s - self._off_since_s >= RUN_UP_S:
+            self.alarm = (
+                f"the spindle turns at {actual_rpm:.0f} 1/min and the NC has taken {taken_rpm:.0f}: at that speed "
+                "nothing is known of this cut; set the override to 100 %, or see which S the program gives"
+            )

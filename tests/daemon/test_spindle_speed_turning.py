@@ -1,0 +1,86 @@
+"""The speed at which the spindle turns: an override or another S word makes of the taken speed one that was not cut."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from control_rig import running
+from speed_rig import CUT, SAFE, SpeedRig
+
+from daemon.history.reader import HistoryReader
+
+WARM = 36.0
+
+
+@pytest.fixture
+async def bench(tmp_path: Path) -> Any:
+    bench = SpeedRig(tmp_path)
+    async with running(bench.rig):
+        await bench.rig.turn()
+        yield bench
+
+
+async def events(bench: SpeedRig) -> list[str]:
+    await bench.rig.history.flushed()
+    with HistoryReader(bench.rig.configuration.history.path) as reader:
+        return [event.text for event in reader.events(0.0, 1e12) if "the spindle turns at" in event.text]
+
+
+async def test_an_override_is_told_once_and_when_it_has_gone(bench: SpeedRig) -> None:
+    taken_rpm = (await bench.operation())[0]
+    bench.nc.spindle_speed_rpm = 0.9 * taken_rpm
+    await bench.pass_by(8.0, CUT)
+    assert bench.picture()["alarm"] == "", "a spindle may take its time"
+    await bench.pass_by(30.0, CUT)
+    told = f"the spindle turns at {0.9 * taken_rpm:.0f} 1/min and the NC has taken {taken_rpm:.0f}"
+    assert told in bench.picture()["alarm"]
+    await bench.pass_by(5.0, SAFE)
+    await bench.pass_by(30.0, CUT)
+    assert told in bench.picture()["alarm"]
+    bench.nc.spindle_speed_rpm = taken_rpm
+    await bench.pass_by(5.0, CUT)
+    assert bench.picture()["alarm"] == ""
+    said = await events(bench)
+    assert len(said) == 2 and told in said[0] and said[1] == "the spindle turns at the speed that the NC has taken"
+
+
+async def test_it_lasts_over_cuts_that_are_shorter_than_a_run_up(bench: SpeedRig) -> None:
+    taken_rpm = (await bench.operation())[0]
+    bench.nc.spindle_speed_rpm = 0.5 * taken_rpm
+    for _ in range(4):
+        await bench.pass_by(5.0, CUT)
+        await bench.pass_by(3.0, SAFE)
+    assert "nothing is known of this cut" in bench.picture()["alarm"]
+
+
+@pytest.mark.parametrize("actual", [1.015, -0.99, math.nan, 0.0])
+async def test_what_is_within_the_tolerance_or_turned_the_other_way_or_not_told_is_none(
+    bench: SpeedRig, actual: float
+) -> None:
+    taken_rpm = (await bench.operation())[0]
+    bench.nc.spindle_speed_rpm = actual * taken_rpm
+    await bench.pass_by(60.0, CUT)
+    assert bench.picture()["alarm"] == "" and await events(bench) == []
+
+
+@pytest.mark.parametrize(("share", "steps"), [(0.9, False), (0.0, False), (1.0, True)])
+async def test_no_second_step_before_a_cut_at_the_speed_of_the_first(
+    bench: SpeedRig, share: float, steps: bool
+) -> None:
+    """A cut at another speed says nothing of the one that was taken."""
+    first_rpm = (await bench.operation())[0]
+    bench.nc.spindle_speed_rpm = share * first_rpm
+    bench.degc = WARM
+    await bench.pass_by(90.0, CUT)
+    await bench.pass_by(30.0, SAFE)
+    assert (bench.call()[0] != first_rpm) is steps
+
+
+async def test_another_operation_and_a_fault_end_it(bench: SpeedRig) -> None:
+    await bench.operation()
+    bench.nc.spindle_speed_rpm = 6000.0
+    await bench.pass_by(30.0, CUT)
+    assert "6000 1/min" in bench.picture()["alarm"]
+    await bench.operation(D=1.5)
+    assert "6000 1/min" not in bench.picture()["alarm"]
