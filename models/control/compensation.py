@@ -202,8 +202,8 @@ def _inhibit_of_estimate(memory: OutputMemory, inputs: OutputInputs, limits: Out
         return Inhibit(
             code=InhibitCode.NO_ESTIMATE,
             text=f"no estimate for axis {axes}: sensors that its model counts from have no value, or had none when "
-            "the work was positioned",
-            remedy="bring them back, then position the work again, or switch the axis off",
+            "the work was positioned or the tool came into the spindle",
+            remedy="bring them back, then position the work again or change the tool, or switch the axis off",
         )
     in_cut = inputs.phase is Phase.CUTTING and memory.state in (OutputState.ACTIVE, OutputState.HOLD)
     if in_cut and weight_of(inputs.confidence, limits) < memory.weight:

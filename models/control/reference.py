@@ -8,6 +8,7 @@ A reference never moves the output: what is applied when it comes into force bec
 `models.control.baseline` takes.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from enum import StrEnum
@@ -45,6 +46,8 @@ LONGEST_STAND_DWELLS = 4.0
 """But on a clock that runs ahead not before so many dwells: there a moment of the wall clock is long."""
 LABEL_AWAY_S = 25.0
 """A label without a value for so long has been away: it has one with every cycle [s]."""
+TOOL_UNKNOWN_S = 60.0
+"""What a label had within an absence, so far from both its ends, nobody knows [s]."""
 EVER_SEEN: Mapping[str, float] = MappingProxyType({})
 
 
@@ -311,7 +314,8 @@ def tool_set_right(
     Returns
     -------
     ReferenceMemory
-        With what the tool began at on a straight line between the two; unchanged where no label was away then.
+        With what the tool began at on a straight line between the two, NaN where that was long after the one and long
+        before the other; unchanged where no label was away then.
 
     """
     record = memory.record
@@ -320,8 +324,10 @@ def tool_set_right(
     begin_degc = dict(record.tool.begin_degc)
     for label, increment in now_degc.items():
         at_s, then = before.get(label, (now_s, increment))
-        if label in begin_degc and now_s - at_s > LABEL_AWAY_S and at_s <= memory.tool_began_s < now_s:
-            begin_degc[label] += (increment - then) * (memory.tool_began_s - at_s) / (now_s - at_s)
+        began_s = memory.tool_began_s
+        if label in begin_degc and now_s - at_s > LABEL_AWAY_S and at_s <= began_s < now_s:
+            known = min(began_s - at_s, now_s - began_s) <= TOOL_UNKNOWN_S
+            begin_degc[label] += (increment - then) * (began_s - at_s) / (now_s - at_s) if known else math.nan
     if begin_degc == record.tool.begin_degc:
         return memory
     return replace(memory, record=replace(record, tool=replace(record.tool, begin_degc=MappingProxyType(begin_degc))))

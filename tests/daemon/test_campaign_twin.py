@@ -17,6 +17,7 @@ from daemon.simulation.faults.operations_check import Request
 from daemon.simulation.faults.truth_watch import DELAY_S, PASSED_S, TruthWatch
 from daemon.simulation.faults.twin import Twin
 from daemon.simulation.processes import write_simulation_configuration
+from models.control.probing import Wander
 from models.recordings.dataset import Recording
 from models.records import FloatArray
 from models.thermal.estimation import Machine, OnlineReference
@@ -47,8 +48,8 @@ def configuration(tmp_path_factory: pytest.TempPathFactory) -> Configuration:
 class Bench:
     """A twin on a machine whose sensors all show one temperature each."""
 
-    def __init__(self, configuration: Configuration) -> None:
-        model = shipped_model()
+    def __init__(self, configuration: Configuration, model: ThermalModel | None = None) -> None:
+        model = model or shipped_model()
         self.configuration = configuration
         ids = [sensor.id for sensor in configuration.temperatures.sensors]
         self.twin = Twin(configuration, {MODEL: model, OTHER: model}, ids)
@@ -220,6 +221,25 @@ def test_a_probe_at_the_bound_is_cancelled_from_where_the_tool_is(bench: Bench) 
     assert abs(bench.requests()[0]) == bound_um
     bench.twin.probed("y", away * 2.0, away * bound_um)
     assert bench.requests()[0] == pytest.approx(away * (bound_um - 2.0))
+
+
+def test_what_a_probe_found_returns_as_the_model_says_but_not_after_a_restart(configuration: Configuration) -> None:
+    model = shipped_model()
+    assert isinstance(model, LinearModel)
+    channels = len(model.channels)
+    wander = Wander(um2_per_min=np.full(channels, 0.01), correlation_min=np.full(channels, 60.0))
+    bench = Bench(configuration, replace(model, probing=wander))
+    bench.reference()
+    bench.twin.probed("y", 3.0, 4.0)
+    assert bench.requests()[0] == pytest.approx(1.0)
+    bench.pass_by(3600.0)
+    assert bench.requests()[0] == pytest.approx(4.0 - 3.0 / np.e, abs=0.01)
+    bench.twin.restarted()
+    bench.pass_by(3600.0)
+    assert bench.requests()[0] == pytest.approx(4.0 - 3.0 / np.e, abs=0.01), "nobody knows of when it is"
+    bench.twin.probed("y", 1.0, 4.0)
+    bench.pass_by(3600.0)
+    assert bench.requests()[0] == pytest.approx(4.0 - 1.0 / np.e, abs=0.01)
 
 
 def test_what_the_guard_takes_up_just_after_a_reference_is_the_baseline(bench: Bench) -> None:

@@ -64,6 +64,7 @@ class TruthWatch:
         It takes up a setting from a reference that had ended, and says which.
         """
         self.busy(time_s)
+        self.twin.restarted()
         self._restarted = True
 
     def busy(self, until_s: float) -> None:

@@ -47,6 +47,7 @@ class _Axis:
     before_um: float = 0.0
     """Its part from before the model in use was released [um]."""
     offset_um: float = 0.0
+    """What probes have found, as far as it has not returned."""
     reference: _Setting | None = None
     tools: dict[int, _Setting] = field(default_factory=dict)
 
@@ -79,6 +80,8 @@ class Twin:
         self._model: str | None = None
         self._tool_number = 0
         self._reference_s = -math.inf
+        self._time_s = 0.0
+        self._offsets_return = True
         self.known = False
         """There is a reference, and a model that has counted from it."""
 
@@ -101,7 +104,7 @@ class Twin:
     def reference(self, time_s: float, model: str | None, applied_um: Mapping[str, float]) -> None:
         """Take a new reference: nothing moves, and the tool in the spindle is set by it."""
         self._renew(time_s)
-        self._reference_s = time_s
+        self._reference_s, self._offsets_return = time_s, True
         self._labels_then = self._label_means
         for name, axis in self._axes.items():
             here = self._tool_number in axis.tools
@@ -150,6 +153,11 @@ class Twin:
         """A probe found a deviation with what is applied: it is cancelled."""
         if (wanted := self._unbounded_um(name)) is not None:
             self._axes[name].offset_um += applied_um - deviation_um - wanted
+            self._offsets_return = True
+
+    def restarted(self) -> None:
+        """The daemon is started anew: what probes found stays as it is until the next one."""
+        self._offsets_return = False
 
     def forget(self, *, but_for: Collection[int] = ()) -> None:
         """The control was switched off, or the daemon was away: no setting counts any more, `but_for` these tools'."""
@@ -198,9 +206,15 @@ class Twin:
             self._online[model].set_reference(OnlineReference(time_min=time_min, now_min=time_min, degc=degc))
 
     def _renew(self, time_s: float) -> None:
-        """Renew the nose's error by the model in use."""
+        """Renew the nose's error by the model in use; what probes found returns as what it misses does."""
+        past_min, self._time_s = (time_s - self._time_s) / 60.0, time_s
         if not self.known or self._model is None:
             return
+        probing = self._models[self._model].probing
+        if probing is not None and self._offsets_return:
+            returns_min = dict(zip(self._models[self._model].channels, probing.correlation_min.tolist(), strict=True))
+            for axis in self._axes.values():
+                axis.offset_um *= math.exp(-past_min / returns_min.get(axis.channel, math.inf))
         degc = self._mean_degc[self._places[self._model]]
         found, _ = self._online[self._model].estimate(time_s / 60.0, degc, np.zeros(len(degc), dtype=bool))
         if found is None:
