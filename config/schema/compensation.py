@@ -131,7 +131,8 @@ class ReferenceConfig(Section):
     positioning_counter: MacroNumber | None = Field(
         None,
         description="macro that the NC program raises before every positioning: unchanged over a gap between two polls "
-        "it proves that none was missed; none: there is no such macro",
+        "it proves that none was missed, and raised it ends the reference until the block of `sequence_numbers` is "
+        "seen; none: there is no such macro",
         examples=[560],
     )
     max_gap_s: Seconds | None = Field(

@@ -33,3 +33,18 @@ def may_be_missed(before: CncSeen, now: CncSeen, gap_s: float, rules: ReferenceR
         f"the CNC could not be polled for {gap_s:.1f} s, so a positioning may have been missed; "
         "pass the positioning again or set the reference by hand (`toolpoint reference`)"
     )
+
+
+def counted(
+    before: CncSample | None, now: CncSample, ahead: int, rules: ReferenceRules, *, passed: bool
+) -> tuple[int, str]:
+    """Return how far the program's counter of positionings is ahead, and why the reference ends by it, '' if not.
+
+    `ahead` is 1 where it was raised and its block not yet seen, -1 the other way round; `passed`: it is seen now.
+    """
+    why, number = "", rules.positioning_counter
+    if number is not None and before is not None and before.macros.get(number) != now.macros.get(number):
+        if ahead >= 0 and not passed:
+            why = f"the work is positioned again: the program has raised #{number}, its counter of positionings"
+        ahead = min(ahead + 1, 1)
+    return max(ahead - passed, -1), why

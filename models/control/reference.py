@@ -14,7 +14,7 @@ from dataclasses import replace
 from enum import StrEnum
 from types import MappingProxyType
 
-from models.control.positioning import may_be_missed, seen_of
+from models.control.positioning import counted, may_be_missed, seen_of
 from models.control.program import in_part_program, positioning_passed, power_cycled, stood_still_s
 from models.control.reference_records import (
     Announcement,
@@ -112,17 +112,19 @@ def on_sample(
     """
     previous, sample = memory.sample, in_part_program(memory.sample, polled, rules.guard_programs)
     missed = "" if previous is None else _missed(memory, previous, sample, rules)
-    memory, effects = _retreated(replace(memory, sample=sample, asked_s=asked_s), sample, rules)
+    passed = positioning_passed(previous, sample, rules.program, rules.sequence_numbers)
+    ahead, raised = counted(previous, sample, memory.count_ahead, rules, passed=passed)
+    memory, effects = _retreated(replace(memory, sample=sample, asked_s=asked_s, count_ahead=ahead), sample, rules)
     record, restarted = memory.record, power_cycled(previous, sample)
     cycled = record is not None and (restarted or record.reference.power_on_count != sample.power_on_count)
     ended = missed
     if memory.in_force is not None:
         ended = end_of_reference(memory.in_force, sample) or (CLOCK_WENT_BACK if restarted else "") or missed
-    ended = ended or _unanswered(memory, sample, rules)
+    ended = ended or raised or _unanswered(memory, sample, rules)
     if ended or cycled:
         memory, more = end(memory, ended or SWITCHED_OFF, for_good=cycled)
         effects += more
-    if positioning_passed(previous, sample, rules.program, rules.sequence_numbers):
+    if passed:
         source = f"O{sample.program} N{sample.sequence_number}"
         memory, more = request(replace(memory, positioning_seen=True), new_id, source, positioning=True)
         effects += more

@@ -191,6 +191,8 @@ class ReferenceMemory:
     """Under zero_first, the retreat block has passed."""
     positioning_seen: bool = False
     """A positioning block was polled since the handshake last reported one."""
+    count_ahead: int = 0
+    """1: the program's counter was raised and its positioning block not yet seen; -1: the other way round."""
     tool_began_s: float = 0.0
     """When the expansion of the tool in the spindle began to count [s]."""
     labels_left_s: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))

@@ -210,7 +210,8 @@ def test_a_returned_sensor_never_brings_an_ended_reference_back():
 
 
 def gap(seconds, before=None, after=None, rules=RULES, **how):
-    memory = in_force(rules=rules, **how)
+    memory, counted = in_force(rules=rules, **how), (before or {}).get("macros", {})
+    memory = replace(memory, sample=replace(memory.sample, macros=counted))
     memory, _ = polled(memory, sample(10.5, **(before or {})), rules)
     memory, effects = polled(memory, sample(10.5 + seconds, **(after or {})), rules)
     return memory.state, said(effects)
@@ -248,6 +249,28 @@ def test_a_gap_that_may_hide_a_positioning_ends_the_reference_unless_the_control
     found, texts = gap(seconds, before, after, **how)
     assert found is state
     assert (state is VALID) != any("a positioning may have been missed" in text for text in texts)
+
+
+@pytest.mark.parametrize(
+    ("polls", "states"),
+    [
+        ([(4, 300), (5, 300), (5, 200)], [VALID, ENDED, ENDED]),  # its block passed between two polls
+        ([(4, 100), (5, 100), (5, 100)], [VALID, ENDED, ENDED]),  # its block is the only one with a number
+        ([(4, 300), (5, 300), (5, 100)], [VALID, ENDED, REQUESTED]),
+        ([(4, 300), (5, 100), (5, 200)], [VALID, VALID, VALID]),
+        ([(4, 300), (4, 100), (5, 100), (5, 200), (6, 200)], [VALID, VALID, VALID, VALID, ENDED]),
+        ([(None, 300), (1, 300)], [VALID, ENDED]),
+    ],
+)
+def test_a_counted_positioning_whose_block_no_poll_has_seen_ends_the_reference(polls, states):
+    memory, found = in_force(), []
+    for step, (number, block) in enumerate(polls):
+        now = sample(10.5 + step * POLL_S, sequence_number=block, macros={560: number})
+        if step == 0:
+            memory = replace(memory, sample=replace(now, time=at(10.4)))
+        memory, _ = polled(memory, now)
+        found.append(memory.state)
+    assert found == states
 
 
 def test_no_reference_outlasts_a_long_pause_of_this_computer_whatever_the_control_proves():
@@ -395,6 +418,15 @@ def test_without_the_handshake_a_restart_while_the_program_ran_takes_nothing_up(
     memory, _ = counted(in_force())
     memory, effects, _ = begun(left_by(memory, 40.0), sample(40.0))
     assert memory.in_force is None and "may have been missed" in said(effects)[0]
+
+
+def test_a_positioning_that_was_counted_during_a_short_restart_is_none_that_the_reference_knows():
+    memory, _ = counted(polled(in_force(), sample(10.5, macros={560: 4.0}))[0])
+    for number, state in ((4.0, VALID), (5.0, ENDED)):
+        start = ReferenceMemory(sample=sample(11.0, macros={560: number}))
+        memory = replace(memory, sample=sample(10.5, macros={560: 4.0}), state=VALID)
+        after, effects = restart(start, left_by(memory, 10.5), RULES, axes=AXES, model_id=MODEL, request_counter=4)
+        assert (after.in_force is not None) == (state is VALID), (after.ended, effects)
 
 
 def test_a_reference_that_was_set_since_the_start_stays():
