@@ -9,6 +9,7 @@ POWER_ON_BIN_S = 600
 """The instant of power-on is known to this [s]: date and time have 1 s, and a clock is set now and then."""
 POWER_ON_SLACK_S = 60
 """Within a connection it may wander so far out of its bin before it counts as another [s]."""
+DAY_S = 86_400
 
 
 class CalendarError(ValueError):
@@ -29,7 +30,12 @@ def power_on_utc_s(date: float, time: float, clock_ms: float) -> float:
 
 
 def power_on_count(at_s: float, before: int | None) -> int:
-    """Return the number of the bin in which the control was switched on; it stays near the edges of a bin."""
-    if before is not None and -POWER_ON_SLACK_S <= at_s - before * POWER_ON_BIN_S < POWER_ON_BIN_S + POWER_ON_SLACK_S:
-        return before
+    """Return the number of the bin in which the control was switched on; it stays near the edges of a bin.
+
+    It stays, too, where midnight came between date and time, which makes it a day earlier.
+    """
+    if before is not None:
+        began_s = at_s - before * POWER_ON_BIN_S
+        if any(-POWER_ON_SLACK_S <= s < POWER_ON_BIN_S + POWER_ON_SLACK_S for s in (began_s, began_s + DAY_S)):
+            return before
     return math.floor(at_s / POWER_ON_BIN_S)
