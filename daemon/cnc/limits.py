@@ -8,6 +8,7 @@ import numpy as np
 
 from config.records.commissioning import CommissioningRecord
 from config.schema import Configuration
+from config.schema.guard import PROGRAM_LABELS
 from daemon.cnc.macro_block import ECHO_SLACK_UM
 from models.control.axis_map import AxisSource, ToolTerm
 from models.control.reference_records import ReferenceRules
@@ -128,6 +129,7 @@ def reference_rules(
         answer_within_s=ANSWER_REAL_S * clock_speed,
         max_outage_s=reference.max_outage_s,
         guard_programs=guard_programs(configuration),
+        guard_blocks=PROGRAM_LABELS,
         counts_with=_counts_with(configuration, um_per_unit),
     )
 

@@ -25,10 +25,17 @@ def phase_of(sample: CncSample, safe_sequence_numbers: Collection[int], safe_fla
     return Phase.CUTTING
 
 
-def in_part_program(previous: CncSample | None, polled: CncSample, guard_programs: Collection[int]) -> CncSample:
-    """Return a poll as the part program stands in it: the guard's own programs are no other program."""
-    if previous is None or polled.program not in guard_programs:
+def in_part_program(
+    previous: CncSample | None, polled: CncSample, guard_programs: Collection[int], guard_blocks: Collection[int]
+) -> CncSample:
+    """Return a poll as the part program stands in it: the guard's own programs and blocks are not the part's.
+
+    A control that tells the main program's number tells the block of the one that it has called.
+    """
+    if previous is None or not (polled.program in guard_programs or polled.sequence_number in guard_blocks):
         return polled
+    if polled.program not in guard_programs and polled.program != previous.program:
+        return replace(polled, sequence_number=0)
     return replace(polled, program=previous.program, sequence_number=previous.sequence_number)
 
 

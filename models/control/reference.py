@@ -110,7 +110,7 @@ def on_sample(
         Memory and effects.
 
     """
-    previous, sample = memory.sample, in_part_program(memory.sample, polled, rules.guard_programs)
+    previous, sample = memory.sample, in_part_program(memory.sample, polled, rules.guard_programs, rules.guard_blocks)
     missed = "" if previous is None else _missed(memory, previous, sample, rules)
     passed = positioning_passed(previous, sample, rules.program, rules.sequence_numbers)
     ahead, raised = counted(previous, sample, memory.count_ahead, rules, passed=passed)

@@ -44,6 +44,8 @@ class ReferenceRules:
     """After a longer outage of the daemon nothing is resumed [s]."""
     guard_programs: frozenset[int] = frozenset()
     """Programs that part programs call for us."""
+    guard_blocks: range = range(0)
+    """N numbers that occur in these programs alone."""
     counts_with: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     """What a reference is worth nothing without, in words, each with a text that changes when it does."""
 

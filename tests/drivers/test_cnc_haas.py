@@ -61,7 +61,9 @@ async def test_a_poll_gives_what_the_control_shows(control: Control) -> None:
 async def test_a_poll_over_midnight_is_no_power_cycle(control: Control) -> None:
     cnc = await control.connected()
     before = await cnc.read([])
-    control.nc._clock_s = 86_100.0 - 0.0015  # its power-on was five minutes past midnight: date and time lie a look apart
+    control.nc._clock_s = (
+        86_100.0 - 0.0015
+    )  # its power-on was five minutes past midnight: date and time lie a look apart
     over = [await cnc.read([]) for _ in range(3)]
     assert [sample.power_on_count for sample in over] == [before.power_on_count] * 3
     await cnc.close()

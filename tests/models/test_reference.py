@@ -273,6 +273,21 @@ def test_a_counted_positioning_whose_block_no_poll_has_seen_ends_the_reference(p
     assert found == states
 
 
+@pytest.mark.parametrize("program", [1000, 9010])
+def test_a_call_of_the_guard_is_no_second_positioning_whichever_program_the_control_tells(program):
+    """FOCAS tells the main program's number with the guard's block: back from it, N100 is no new one."""
+    rules = replace(RULES, guard_programs=frozenset({9010}), guard_blocks=range(90_000, 91_000))
+    memory, asked = polled(ReferenceMemory(), sample(), rules)
+    for step, (number, block) in enumerate(
+        [(1000, 100), (program, 90_010), (1000, 100), (program, 90_800), (1000, 100)]
+    ):
+        memory, effects = polled(memory, sample(10.5 + step * POLL_S, program=number, sequence_number=block), rules)
+        asked += effects
+    assert [type(effect) for effect in asked] == [ReferenceRequest]
+    memory, _ = polled(memory, sample(13.0, program=2000, sequence_number=90_010), rules)
+    assert memory.sample.program == 2000 and memory.sample.sequence_number == 0
+
+
 def test_no_reference_outlasts_a_long_pause_of_this_computer_whatever_the_control_proves():
     state, texts = gap(0.5, after={"clock_s": 571.0 + 3.0}, handshake=True)
     assert state is ENDED and "clock went on by 63 s more than this computer's" in texts[0]
