@@ -368,13 +368,13 @@ class Daemon:
         self._history.event(kind, text, "daemon")
 
     def _on_bearings(self, opened: "OpenedModel") -> None:
-        """Note which model speeds are planned with; it is logged once, however often the planner is started."""
+        """Note what speeds are planned with; it is told once, and when the files have changed at another start."""
         if opened.inhibit:
             self._links.planner_health.went_down(opened.inhibit, self._clock.now().utc_s)
         else:
             self._links.planner_health.came_up()
-        if opened.model != self.snapshots.bearing_model:
-            self.snapshots.bearing_model = opened.model
+        self.snapshots.bearing_model = opened.model
+        if opened.words:
             self._report("model", f"bearings: {opened.words}")
 
     def _on_acknowledged(self, line: str, number: int) -> None:

@@ -47,7 +47,7 @@ def _serve(requests: BinaryIO, answers: BinaryIO) -> None:
     assert tuning is not None
     found = open_planning(configuration, own_account())
     assert found.model is not None
-    opened = OpenedModel(inhibit=found.inhibit, words=found.model.in_words(), model=found.model.snapshot())
+    opened = OpenedModel(inhibit=found.inhibit, words=found.in_words(), model=found.model.snapshot())
     _say(answers, Reply(opened=opened))
     planning = SpeedPlanning(found.operations, tuning.sensor_step_k)
     for line in requests:

@@ -1,9 +1,14 @@
 """Release and use of the bearing model that the spindle speed follows, by the rules of thermal models."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
 
+from config.machine.spindle_chain import found_file
 from config.schema import Configuration
 from config.schema.base import ConfigurationError
+from config.schema.spindle_speed import SpindleSpeedConfig
 from daemon.model_release.bearing_loading import bearings_from_text, load_released_bearings
 from daemon.model_release.file_access import Account
 from daemon.model_release.loading import LoadedModel
@@ -59,6 +64,13 @@ class OpenedPlanning:
     inhibit: str
     model: LoadedModel[ThermomechanicalModel] | None
     """None without a section `spindle_speed`."""
+    files: Mapping[Path, str] = field(default_factory=dict)
+    """Cases and spindles that were read, with the sha256 of each."""
+
+    def in_words(self) -> str:
+        """Return one sentence for audit and log: model, cases and spindles."""
+        found = "" if self.model is None else self.model.in_words()
+        return "; ".join([found, *(f"{path}, sha256 {sha256}" for path, sha256 in self.files.items())])
 
 
 def open_planning(configuration: Configuration, account: Account) -> OpenedPlanning:
@@ -69,6 +81,14 @@ def open_planning(configuration: Configuration, account: Account) -> OpenedPlann
     if loaded.model is None:
         return OpenedPlanning(operations={}, inhibit=loaded.inhibit, model=loaded)
     try:
-        return OpenedPlanning(operations=planned_with(configuration, loaded.model), inhibit="", model=loaded)
+        operations = planned_with(configuration, loaded.model)
+        files = _files(configuration.spindle_speed)
+        return OpenedPlanning(operations=operations, inhibit="", model=loaded, files=files)
     except (ConfigurationError, StabilityError) as error:
         return OpenedPlanning(operations={}, inhibit=str(error), model=loaded)
+
+
+def _files(tuning: SpindleSpeedConfig) -> dict[Path, str]:
+    """Return cases and spindles with the sha256 of each; raises ConfigurationError."""
+    told = [path for each in tuning.operations for path in (each.case, *each.spindles.values())]
+    return {path: sha256(path.read_bytes()).hexdigest() for path in map(found_file, told)}

@@ -63,7 +63,7 @@ class OpenedModel:
     inhibit: str
     """'' where speeds can be planned."""
     words: str
-    """One sentence for the audit."""
+    """One sentence for the audit; '' where the planner before has said the same."""
     model: ModelSnapshot
     """The same for status."""
 

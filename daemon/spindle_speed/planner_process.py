@@ -9,6 +9,7 @@ import math
 import signal
 from collections import deque
 from collections.abc import Callable, Coroutine, Mapping, Sequence
+from dataclasses import replace
 
 from pydantic import ValidationError
 
@@ -55,7 +56,7 @@ class PlannerProcess:
         self._command, self._configuration = command, configuration
         self._on_opened, self._overdue = on_opened, overdue
         self._asked: asyncio.Queue[tuple[PlanRequest, asyncio.Future[PlannedSpeed | None]]] = asyncio.Queue()
-        self._lost = STARTING
+        self._lost, self._told = STARTING, ""
         self.opened: OpenedModel | None = None
         self.process_id: int | None = None
         """Of the process that runs; None while there is none."""
@@ -102,8 +103,9 @@ class PlannerProcess:
             reply = await self._answer(process, ended, self._configuration.model_dump_json().encode() + b"\n")
             if reply.opened is None:
                 raise self._gone("has not said what it opened")
-            self.opened, self._lost = reply.opened, ""
-            self._on_opened(reply.opened)
+            self.opened, self._lost = (opened := reply.opened), ""
+            self._on_opened(replace(opened, words="") if opened.words == self._told else opened)
+            self._told = opened.words
             if reply.opened.inhibit:
                 process.kill()
                 await asyncio.Event().wait()

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import hashlib
 import json
 import os
 import select
@@ -116,6 +117,23 @@ async def test_a_killed_one_is_named_and_another_takes_its_place(tmp_path: Path)
         child.begin()
         assert await child.opened() != first
         assert (await child.planner.plan(asked())) is not None
+
+
+async def test_it_names_the_files_that_it_has_read_and_what_has_changed_in_them(tmp_path: Path) -> None:
+    """A case is read again when the planner is started again, perhaps weeks later."""
+    case = tmp_path / "case.yaml"
+    async with supervised(tmp_path) as child:
+        os.kill(await child.opened(), signal.SIGKILL)
+        assert child.planner.opened is not None
+        first = child.planner.opened.words
+        assert "made-up, sha256" in first and "simulated_machine.yaml, sha256" in first
+        assert f"{case}, sha256 {hashlib.sha256(case.read_bytes()).hexdigest()}" in first
+        await child.lost()
+        case.write_text(case.read_text("utf-8").replace("teeth: 4", "teeth: 3"), encoding="utf-8")
+        child.begin()
+        await child.opened()
+        assert f"{case}, sha256 {hashlib.sha256(case.read_bytes()).hexdigest()}" in child.planner.opened.words
+        assert child.planner.opened.words != first
 
 
 async def test_one_that_hangs_is_killed_and_so_is_its_answer(tmp_path: Path) -> None:

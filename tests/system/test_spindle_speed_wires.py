@@ -1,5 +1,8 @@
 """The spindle speed over real wires: sensors on lines, the CNC over OPC UA, the NC program as it is shipped."""
 
+import hashlib
+import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -116,3 +119,19 @@ async def test_a_part_is_milled_while_the_spindle_warms(tmp_path: Path) -> None:
     assert len(audit) > 5
     lost = [record for record in audit if record.outcome is not WriteOutcome.VERIFIED]
     assert len(lost) <= 1  # the one, if any, that was under way when the link was lost
+
+
+async def test_a_case_that_has_changed_when_the_planner_is_started_again_is_told(tmp_path: Path) -> None:
+    async with milling(tmp_path) as wires, tuned(wires) as daemon:
+        planner, case = daemon._planner, tmp_path / "case.yaml"
+        for change in ("", "", "# changed\n"):
+            case.write_text(case.read_text("utf-8") + change, encoding="utf-8")
+            await wires.until("the planner", lambda: planner.opened is not None)
+            os.kill(planner.process_id, signal.SIGKILL)
+            await wires.until("its end", lambda: planner.opened is None)
+            await wires.until("another one", lambda: planner.opened is not None)
+        await daemon._history.flushed()
+        with HistoryReader(wires.configuration.history.path) as reader:
+            told = [event.text for event in reader.events(0.0, 1e11) if event.text.startswith("bearings: ")]
+    assert len(told) == 2 and hashlib.sha256(case.read_bytes()).hexdigest() in told[1]
+    assert all(f"{case}, sha256" in text for text in told) and "simulated_machine.yaml, sha256" in told[0]
