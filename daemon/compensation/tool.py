@@ -31,7 +31,7 @@ class ToolInSpindle:
         self._follow(estimate)
         begin_degc = {label: increment for label, (_, increment) in self._seen.items()}
         counted_from = estimate.reference_id if estimate is not None else None
-        self._references.tool_begins(ToolOrigin(number=number, begin_degc=begin_degc), counted_from)
+        self._references.tool_begins(ToolOrigin(number=number, begin_degc=begin_degc), counted_from, self.seen_s)
 
     def _follow(self, estimate: ThermalErrorEstimate | None) -> None:
         if estimate is None:

@@ -382,6 +382,7 @@ def follow_error(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
         error_um=np.where(known, error_um, before),
         error_s=inputs.now_s - inputs.estimate_age_s,
         found_wrong_um=inputs.found_wrong_um,
+        fading_um=inputs.fading_um,
     )
 
 
@@ -418,6 +419,7 @@ def _new_reference(memory: OutputMemory, inputs: OutputInputs, stale_after_s: fl
         error_s=inputs.now_s,
         error_reference_id=inputs.reference_id,
         found_wrong_um=0.0,
+        fading_um=0.0,
         counted_found_um=None,
         tools=_tools_since(memory, inputs, stale_after_s),
     )

@@ -56,8 +56,8 @@ def measured_inhibit(memory: OutputMemory, inputs: OutputInputs, limits: OutputL
     what = f"tool T{inputs.tool_number} was set" if of_tool_um[worst] > UNSURE_UM else "a probe or a new model counted"
     return Inhibit(
         code=InhibitCode.CONFIDENCE,
-        text=f"axis {limits.axes[worst]}: {what} with a sensor that was found wrong later, which may be "
-        f"{unsure_um[worst]:.1f} um",
+        text=f"axis {limits.axes[worst]}: {what} with a sensor that was found wrong later, or over a positioning while "
+        f"sensors had just returned, which may be {unsure_um[worst]:.1f} um",
         remedy="set the tool again, then probe, or position the work again",
     )
 
@@ -101,7 +101,7 @@ def with_model(memory: OutputMemory) -> OutputMemory:
 
 
 def carried_over(memory: OutputMemory, tool_number: int, tool: ToolBaseline) -> ToolBaseline:
-    """Return a tool's setting at a new reference: what is in doubt of it stays so."""
+    """Return a tool's setting at a new reference: what is in doubt of it stays so, and what still fades comes to it."""
     of_tool_um = tool_unsure_um(memory, tool_number, memory.found_wrong_um)
     unsure_um = np.maximum(of_tool_um, _offset_unsure_um(memory, tool_number, memory.found_wrong_um))
-    return replace(tool, found_wrong_um=-unsure_um)
+    return replace(tool, found_wrong_um=-unsure_um - memory.fading_um)

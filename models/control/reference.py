@@ -14,6 +14,8 @@ from dataclasses import replace
 from enum import StrEnum
 from types import MappingProxyType
 
+import numpy as np
+
 from models.control.positioning import counted, may_be_missed, seen_of
 from models.control.program import in_part_program, positioning_passed, power_cycled, stood_still_s
 from models.control.reference_records import (
@@ -33,6 +35,7 @@ from models.control.reference_records import (
 )
 from models.control.state import OutputMemory
 from models.records import CncRun, CncSample, Reference
+from models.thermal.mean_increment import Fading
 
 SWITCHED_OFF = "the CNC was switched off and on"
 CLOCK_WENT_BACK = "the CNC's clock went back: it was switched off and on"
@@ -278,13 +281,36 @@ def count_from(memory: ReferenceMemory, output: OutputMemory, axes: tuple[str, .
 
 
 def tool_begins(
-    memory: ReferenceMemory, tool: ToolOrigin, estimate_reference_id: str | None, now_s: float
+    memory: ReferenceMemory,
+    tool: ToolOrigin,
+    estimate_reference_id: str | None,
+    now_s: float,
+    seen_s: Mapping[str, float] = EVER_SEEN,
 ) -> ReferenceMemory:
-    """Let the expansion of the tool in the spindle count from now [s]."""
-    if memory.record is None:
+    """Let the expansion of the tool in the spindle count from now [s]; `seen_s`: when each label had its increment.
+
+    What an increment still holds of the step of a sensor's return fades out, and is no expansion of this tool.
+    """
+    record = memory.record
+    if record is None:
         return memory
-    ours = estimate_reference_id == memory.record.reference_id
-    return replace(memory, tool_began_s=now_s, record=replace(memory.record, tool=tool if ours else None))
+    ours = estimate_reference_id == record.reference_id
+    begin_degc = {
+        label: increment - _fading_k(record, label, seen_s.get(label, now_s))
+        for label, increment in tool.begin_degc.items()
+    }
+    tool = replace(tool, begin_degc=MappingProxyType(begin_degc))
+    return replace(memory, tool_began_s=now_s, record=replace(record, tool=tool if ours else None))
+
+
+def _fading_k(record: ReferenceRecord, label: str, time_s: float) -> float:
+    """Return what a label's mean increment holds at a time [s] of the step of the latest return [K]."""
+    origin = None if record.sensors is None else record.sensors.labels.get(label)
+    if origin is None:
+        return 0.0
+    step_k, after_min = origin.rest_k
+    began_min = record.reference.time.monotonic_s / 60.0 + after_min
+    return float(Fading(amount=np.array([step_k]), since_min=began_min).at(time_s / 60.0)[0])
 
 
 def tool_begin_degc(
@@ -356,8 +382,9 @@ def with_sensors(
         if not any(now and not then for then, now in zip(was, origin.counted, strict=True)):
             continue
         away_since_s = min(left_s.pop(label, now_s), seen_s.get(label, now_s))
-        if label in begin_degc and away_since_s <= memory.tool_began_s < now_s and origin.rest_k:
-            begin_degc[label] -= origin.rest_k[0] * (memory.tool_began_s - away_since_s) / (now_s - away_since_s)
+        if label in begin_degc and away_since_s <= memory.tool_began_s < now_s:
+            step_k = origin.rest_k[0] - _fading_k(record, label, now_s)
+            begin_degc[label] -= step_k * (memory.tool_began_s - away_since_s) / (now_s - away_since_s)
     tool = record.tool if record.tool is None else replace(record.tool, begin_degc=MappingProxyType(begin_degc))
     return replace(memory, labels_left_s=MappingProxyType(left_s), record=replace(record, sensors=sensors, tool=tool))
 

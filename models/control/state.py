@@ -167,6 +167,8 @@ class OutputMemory:
     """The reference that this estimate and the tool settings count from; it may have ended."""
     found_wrong_um: float = 0.0
     """What sensors that were found wrong since that reference were worth, at that estimate [um]."""
+    fading_um: float = 0.0
+    """What that estimate was still off for the step that a sensor's return would have been [um]."""
     counted_found_um: FloatArray | None = None
     """The same when a probe or a change of model was counted last, per axis; NaN, None: neither was."""
     tools: Mapping[int, ToolBaseline] = field(default_factory=lambda: MappingProxyType({}))

@@ -15,7 +15,7 @@ class Taken:
     def __init__(self) -> None:
         self.tools: list[tuple[ToolOrigin, str | None]] = []
 
-    def tool_begins(self, tool: ToolOrigin, counted_from: str | None) -> None:
+    def tool_begins(self, tool: ToolOrigin, counted_from: str | None, _seen_s: dict[str, float]) -> None:
         self.tools.append((tool, counted_from))
 
     def tool_set_right(self, *_: object) -> None:

@@ -94,6 +94,16 @@ def test_what_is_in_doubt_of_a_tool_stays_in_doubt_with_the_next_reference():
     assert machine.memory.state is OutputState.ACTIVE, "the tool in the spindle is set by a reference"
 
 
+@pytest.mark.parametrize(("fading_um", "state"), [(0.9, OutputState.ACTIVE), (2.5, OutputState.HOLD)])
+def test_a_tool_of_before_is_held_when_the_work_is_positioned_while_a_return_fades(fading_um, state):
+    """Its setting is counted anew by the estimate of then, which is off by what fades, and stayed off by that."""
+    machine = tool_set(Machine().following()).set(tool_number=2).step(2).set(fading_um=fading_um).step(3)
+    machine.set(**NOTHING, fading_um=0.0).step(3)
+    assert machine.memory.state is OutputState.ACTIVE, "the tool in the spindle is set by the reference"
+    assert machine.set(tool_number=1).step(2).memory.state is state
+    assert tool_set(machine).memory.state is OutputState.ACTIVE
+
+
 def test_a_sensor_that_was_wrong_at_the_reference_already_holds_tools_of_before():
     machine = tool_set(Machine().following())
     machine.set(tool_number=2).step(2)

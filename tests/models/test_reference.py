@@ -326,6 +326,25 @@ def test_a_tool_that_came_while_its_sensors_were_away_is_set_right_when_they_ret
     assert not memory.labels_left_s
 
 
+def with_label(memory, time_s, *, counted, step_k=0.0):
+    """Take that the label's sensors count or not, as the estimation says it at a time [s]."""
+    after_min = (time_s - memory.record.reference.time.monotonic_s) / 60.0 if step_k else 0.0
+    said = label(counted=counted)
+    said = replace(said, labels={"Nose": replace(said.labels["Nose"], rest_k=(step_k, after_min))})
+    return reference.with_sensors(memory, said, time_s)
+
+
+def test_a_tool_that_comes_while_the_step_of_a_return_fades_counts_from_what_the_sensors_say():
+    """It began at 0.3 K of 2.6 K that the nose had: the rest of the step counted as its expansion, 1.1 um of a tool."""
+    memory = with_label(in_force("r"), 1000.0, counted=True)
+    memory = with_label(memory, 1100.0, counted=False)
+    memory = with_label(memory, 1200.0, counted=True, step_k=-2.6)
+    shown_k = 2.6 - 2.6 * np.exp(-5.0 / 30.0)
+    tool = ToolOrigin(number=2, begin_degc={"Nose": shown_k, "Room": 0.5})
+    began = reference.tool_begins(memory, tool, "r", 1207.0, {"Nose": 1205.0, "Room": 1205.0})
+    assert began.record.tool.begin_degc == pytest.approx({"Nose": 2.6, "Room": 0.5})
+
+
 @pytest.mark.parametrize(
     ("back_s", "began_s", "right_k"),
     [(110.0, 5.0, 1.0), (110.0, 10.0, 1.0), (110.0, 60.0, 2.0), (110.0, 110.0, 1.0)]
