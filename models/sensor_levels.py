@@ -193,11 +193,16 @@ def _judged(
 ) -> tuple[SensorLevels, FloatArray]:
     shift_k, uncertainty_k, changes = levels.shift_k.copy(), levels.uncertainty_k.copy(), list(levels.changes)
     counted = degc.copy()
+    away = [*levels.left, *seen.indices[judged].tolist()]
+    beside = levels.uncertainty_k == 0.0
+    beside[away] = False
     for place in np.flatnonzero(judged):
         index = int(seen.indices[place])
         off_k, spread_k, near_k = float(seen.jump_k[place]), np.inf, OWN_K
         if seen.jump_k[place] == 0.0 and (then := levels.left.get(index)) is not None:
-            off_k, spread_k, near_k = _departure(index, then, group, degc, (seen.now_s - then.at_s) / 60.0)
+            off_k, spread_k, near_k = _departure(
+                index, then, group, np.where(beside, degc, np.nan), degc[index], seen.now_s
+            )
         elif seen.returned[place]:
             continue
         before_k = shift_k[index]
@@ -220,13 +225,17 @@ def _judged(
 
 
 def _departure(
-    index: int, then: Left, group: GroupArray, degc: FloatArray, away_min: float
+    index: int, then: Left, group: GroupArray, beside_degc: FloatArray, own_degc: float, now_s: float
 ) -> tuple[float, float, float]:
-    """Return how far a sensor is from where it is expected, how far those beside it are, and how near is near [K]."""
-    change_k = degc - then.degc - then.trend_k_per_min * away_min
-    own_k = float(change_k[index])
+    """Return how far a sensor is from where it is expected, how far those beside it are, and how near is near [K].
+
+    `beside_degc`: of those that were not away too and are not doubted; a whole line may come back with one error.
+    """
+    away_min = (now_s - then.at_s) / 60.0
+    expected_degc = then.degc + then.trend_k_per_min * away_min
+    change_k = beside_degc - expected_degc
+    own_k = float(own_degc - expected_degc[index])
     known = np.isfinite(change_k)
-    known[index] = False
     beside_k = change_k[known & (group == group[index])]
     if len(beside_k) < LEAST_BESIDE:
         beside_k = change_k[known]

@@ -125,6 +125,21 @@ def replugged(rng: np.random.Generator) -> BadInput:
     return BadInput(disturbance=disturb, passed=length)
 
 
+def line_back_elsewhere(rng: np.random.Generator) -> BadInput:
+    """A line is away for minutes, and all its nodes come back with one offset, which stays."""
+    lost, length = str(rng.choice(list(CHAIN))), int(rng.integers(9, 36))
+    change = int(rng.choice([-1, 1]) * rng.integers(32, 128))
+
+    def disturb(loop: TwinLoop, moment: int, line: str, frames: Frames, _rng: np.random.Generator) -> Frames:
+        if line != lost or moment < length:
+            return [] if line == lost else frames
+        for sensor in CHAIN[lost]:
+            frames = _said(loop, frames, sensor, change)
+        return frames
+
+    return BadInput(disturbance=disturb, passed=length)
+
+
 def stuck(rng: np.random.Generator) -> BadInput:
     """A node repeats its value for minutes."""
     sensor, length = int(rng.integers(len(SENSOR_IDS))), int(rng.integers(9, 60))
@@ -157,5 +172,15 @@ def resets(rng: np.random.Generator) -> BadInput:
 
 KINDS = {
     kind.__name__: kind
-    for kind in (silence, line_lost, corrupt_after_silence, corrupt_after_restart, bit_flips, replugged, stuck, resets)
+    for kind in (
+        silence,
+        line_lost,
+        corrupt_after_silence,
+        corrupt_after_restart,
+        bit_flips,
+        replugged,
+        line_back_elsewhere,
+        stuck,
+        resets,
+    )
 }
