@@ -204,15 +204,15 @@ class LinearEstimator:
     def rebuild(
         self, samples: Iterable[tuple[float, FloatArray, float]], *, bridged: bool = False
     ) -> ModelState | None:
-        """Return the state after (time [min], temperatures [degC], speed [1/min]) from the first temperature on."""
+        """Return the state after a history of (time [min], temperatures [degC], speed [1/min]); None when empty."""
         state = None
         for time_min, degc, speed_rpm in samples:
-            if state is not None:
-                state = self.advance(state, time_min, degc, speed_rpm, find_faults=False, bridged=bridged)
-            elif np.isfinite(degc[: self._watched_sensors]).any():  # None before: a new store's silence says nothing
+            if state is None:
                 state = self.begin(time_min, degc, speed_rpm)
                 if bridged:  # what a history does not reach back to is unknown of the lags, and is no absence
                     state = replace(state, since_min=np.where(state.missing, state.since_min, -np.inf))
+            else:
+                state = self.advance(state, time_min, degc, speed_rpm, find_faults=False, bridged=bridged)
         return state
 
     def settled(self, state: ModelState) -> float:

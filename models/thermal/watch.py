@@ -219,6 +219,8 @@ class Watcher:
         elapsed_min = time_min - state.time_min
         if elapsed_min <= 0.0 or not np.isfinite(degc).any():
             return state
+        if not state.heard.any():
+            return self.begin(time_min, degc, speed_rpm)
         advanced = self._advance(state, time_min, elapsed_min, degc, speed_rpm)
         if len(first := np.flatnonzero(advanced.heard & ~state.heard)):
             advanced = self.reinitialised(advanced, first.tolist())
