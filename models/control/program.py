@@ -42,16 +42,16 @@ def in_part_program(
 def positioning_passed(
     previous: CncSample | None, sample: CncSample, program: int | None, sequence_numbers: Collection[int]
 ) -> bool:
-    """Whether the program has reached a positioning block since the previous sample, be it in a feed hold."""
-    if sample.sequence_number not in sequence_numbers or sample.run in IDLE:
+    """Whether the program has reached a positioning block since the previous sample, be it in a feed hold.
+
+    One that stops there, as for a work that is clamped by hand, is positioned when it goes on, wherever that is seen.
+    """
+    if previous is None or sample.run in IDLE or (program is not None and sample.program != program):
         return False
-    if program is not None and sample.program != program:
-        return False
-    if previous is None:
-        return False
+    same, here = sample.program == previous.program, sample.sequence_number in sequence_numbers
     if previous.run in IDLE:
-        return True
-    return (previous.program, previous.sequence_number) != (sample.program, sample.sequence_number)
+        return here or (same and previous.run is CncRun.STOP and previous.sequence_number in sequence_numbers)
+    return here and not (same and sample.sequence_number == previous.sequence_number)
 
 
 def power_cycled(previous: CncSample | None, sample: CncSample) -> bool:

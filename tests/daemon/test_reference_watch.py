@@ -62,6 +62,16 @@ def test_a_feed_hold_in_the_positioning_block_hides_no_positioning_and_makes_no_
         assert seen == [True] + [False] * (len(polls) - 2)
 
 
+def test_work_that_was_clamped_while_the_program_stood_stopped_at_its_block_is_positioned_when_it_goes_on():
+    stopped, on = replace(SAMPLE, sequence_number=100, run=CncRun.STOP), replace(SAMPLE, sequence_number=110)
+    seen = [
+        positioning_passed(before, now, None, [100]) for before, now in pairwise((SAMPLE, stopped, stopped, on, on))
+    ]
+    assert seen == [False, False, True, False]
+    assert not positioning_passed(replace(stopped, run=CncRun.RESET), on, None, [100]), "it may begin anew"
+    assert not positioning_passed(stopped, replace(on, program=7), None, [100])
+
+
 def test_a_power_cycle_shows_in_the_count_or_in_the_clock_going_back():
     assert not power_cycled(None, SAMPLE)
     assert not power_cycled(SAMPLE, replace(SAMPLE, clock_s=999.5))
