@@ -137,19 +137,20 @@ class Variables:
         positions = zip(self._axes.items(), answers[len(self._keys) : first_macro], strict=True)
         for key, text, answer in zip(self._keys, self._texts, answers, strict=False):
             values[key] = self._state_value(key, text, answer)
+        whole = {key: _whole(key, value) for key, value in values.items() if key not in (*MEASURED, "alarm", "clock")}
         return CncSample(
             time=time,
-            mode=self._map.modes.get(int(values["mode"]), CncMode.UNKNOWN),
-            run=self._map.runs.get(int(values["run"]), CncRun.UNKNOWN),
+            mode=self._map.modes.get(whole["mode"], CncMode.UNKNOWN),
+            run=self._map.runs.get(whole["run"], CncRun.UNKNOWN),
             alarm=values["alarm"] != 0,
-            program=int(values["program"]),
-            sequence_number=int(values["sequence_number"]),
+            program=whole["program"],
+            sequence_number=whole["sequence_number"],
             spindle_speed_rpm=values["spindle_speed"],
             motor_temperature_degc=values["motor_temperature"],
             clock_s=values["clock"],
-            power_on_count=int(values["power_on_count"]),
-            work_offset=int(values["work_offset"]),
-            tool_number=int(values["tool_number"]),
+            power_on_count=whole["power_on_count"],
+            work_offset=whole["work_offset"],
+            tool_number=whole["tool_number"],
             macros=self.macro_values(macros, answers[first_macro:]),
             positions_mm={name: _position_mm(axis, answer) for (name, axis), answer in positions} | self._nowhere,
         )
@@ -203,6 +204,15 @@ class Variables:
             raise FatalDriverError(
                 f"cnc.opcua.nodes.{key}: {text!r} is no node identifier; write s=text or i=number"
             ) from error
+
+
+def _whole(key: str, value: float) -> int:
+    """Return a number of the state, which has no fraction; G54.1, an additional offset, as 54100, for it is not G54."""
+    if value.is_integer():
+        return int(value)
+    if key == "work_offset":
+        return round(value * 1000.0)
+    raise LinkError(f"the CNC's variable {key} holds {value:g}, which is no whole number: check cnc.opcua.nodes.{key}")
 
 
 def _number(name: str, answer: Answer) -> float:

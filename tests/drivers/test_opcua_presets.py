@@ -17,10 +17,11 @@ from config.schema.guard import VACANT_R
 from drivers.clock import SystemClock
 from drivers.contract import Capability, LinkError
 from drivers.opcua.cnc import OpcUaCnc, node_map
+from drivers.opcua.services import Answer
 from drivers.opcua.sinumerik import FIRST_NAMED, block_number, offset_number, program_number
 from drivers.opcua.variables import FANUC_NODES, NodeMap, Variables
 from drivers.sim.wires.opcua_server import SimulatedCncServer
-from models.records import CncMode, CncRun
+from models.records import CncMode, CncRun, CncSample
 
 SINUMERIK: dict[str, Any] = {"preset": "sinumerik", "namespace_uri": None}
 ENDPOINT = "opc.tcp://192.168.10.20:4840"
@@ -62,6 +63,20 @@ def test_generic_takes_nothing_for_granted() -> None:
     assert all(key in str(refused.value.errors()[0]["ctx"]["error"].problems) for key in ("mode", "run", "alarm"))
     nodes = OpcUaNodesConfig(mode="i=1", run="i=2", alarm="i=3", macro="i={number}")
     assert node_map(cnc_config(nodes=nodes, preset="generic")).nodes == nodes.model_dump(exclude_none=True)
+
+
+def test_a_fraction_in_the_state_is_not_rounded_to_another_offset_or_block() -> None:
+    variables, now = Variables(NodeMap(nodes=FANUC_NODES), 2), SystemClock().now()
+    held = dict.fromkeys(variables._keys, 1.0)
+
+    def sample(**changes: float) -> CncSample:
+        return variables.sample(now, [], [Answer(0, value) for value in (held | changes).values()])
+
+    assert sample(work_offset=54.0).work_offset == 54
+    assert sample(work_offset=54.1).work_offset == 54_100, "an additional offset is another one than G54"
+    for key in ("sequence_number", "program", "tool_number", "run", "mode", "power_on_count"):
+        with pytest.raises(LinkError, match=rf"variable {key} holds 100\.7, which is no whole number"):
+            sample(**{key: 100.7})
 
 
 def test_a_name_with_other_braces_is_a_name() -> None:
