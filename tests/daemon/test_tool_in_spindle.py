@@ -1,12 +1,17 @@
 """What the expansion of a tool counts from when sensors of its term are away as it comes into the spindle."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from daemon.compensation.tool import ToolInSpindle
-from models.control.reference_records import ToolOrigin
+from daemon.estimation.sensor_memory import SinceReference
+from models.control import reference
+from models.control.reference_records import ReferenceMemory, ReferenceRecord, ToolOrigin
+from models.records import Instant, Reference
 
 
 class Taken:
@@ -49,3 +54,66 @@ def test_what_a_label_had_since_another_reference_does_not_count() -> None:
     tool.begin(3, None)
     assert references.tools[1][1] is None
     assert replace(references.tools[1][0], begin_degc={}) == ToolOrigin(number=3, begin_degc={})
+
+
+class Kept:
+    """Keeps the reference's memory as the output does, without a store."""
+
+    def __init__(self, memory: ReferenceMemory) -> None:
+        self.memory = memory
+        self.now_s = 0.0
+
+    def tool_begins(self, tool: ToolOrigin, counted_from: str | None, seen_s: Mapping[str, float]) -> None:
+        self.memory = reference.tool_begins(self.memory, tool, counted_from, self.now_s, seen_s)
+
+    def tool_set_right(
+        self, before: Mapping[str, tuple[float, float]], now_degc: Mapping[str, float], now_s: float
+    ) -> None:
+        self.memory = reference.tool_set_right(self.memory, before, now_degc, now_s)
+
+
+AWAY_S, BACK_S, END_S = 600.0, 1440.0, 2400.0
+
+
+def nose_degc(time_s: float) -> float:
+    """The nose warms while nobody hears of it, and stays as warm."""
+    return float(np.interp(time_s, [AWAY_S, BACK_S], [20.0, 22.6]))
+
+
+@pytest.mark.parametrize(
+    ("comes_s", "known"),
+    [(300.0, True), (640.0, True), (900.0, False), (1410.0, True)]
+    + [(BACK_S + after_s, True) for after_s in (5.0, 15.0, 30.0, 60.0, 300.0)],
+)
+def test_a_tool_counts_from_what_its_sensor_had_when_it_came_or_nobody_knows(comes_s: float, known: bool) -> None:
+    since = SinceReference([7], {"nose": np.array([0])})
+    origin = Reference(
+        reference_id="r1",
+        time=Instant(monotonic_s=0.0, utc_s=0.0, real_s=0.0),
+        source="",
+        degc=np.array([20.0]),
+        program=1,
+        work_offset=54,
+        power_on_count=1,
+    )
+    since.begin(origin)
+    kept = Kept(ReferenceMemory(record=ReferenceRecord(reference=origin)))
+    tool = ToolInSpindle(kept)  # type: ignore[arg-type]
+    shown: dict[str, float] = {}
+    for time_s in np.arange(10.0, END_S, 5.0):
+        kept.now_s = time_s
+        if time_s % 10.0 == 0.0:
+            heard = np.nan if AWAY_S < time_s < BACK_S else nose_degc(time_s)
+            shown = since.label_increments(np.array([heard]), time_s / 60.0)
+            now = estimate(**shown)
+            now.trace.first_byte.monotonic_s = time_s
+            tool.on_sample(1 if time_s < comes_s else 2, now)
+            if (sensors := since.changed()) is not None:
+                kept.memory = reference.with_sensors(kept.memory, sensors, time_s, tool.seen_s)
+        elif time_s >= comes_s:
+            tool.on_sample(2, now)
+    begin_degc = reference.tool_begin_degc(kept.memory, 2, "r1")["nose"]
+    if known:
+        assert shown["nose"] - begin_degc == pytest.approx(22.6 - nose_degc(comes_s), abs=0.1)
+    else:
+        assert np.isnan(begin_degc)
