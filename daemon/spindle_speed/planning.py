@@ -231,7 +231,8 @@ class SpeedPlanning:
         self, planning: OperationPlanning, called: CalledOperation, time_s: float, not_believed: str
     ) -> PlannedSpeed:
         known = planning.estimator.known
-        plan, problem, changes, diagram = None, not_believed or "no temperatures yet", dict[str, float](), None
+        waits = not_believed or planning.estimator.waits or "no temperatures yet"
+        plan, problem, changes, diagram = None, waits, dict[str, float](), None
         if known is not None:
             problem = "; ".join(filter(None, (not_believed, known.inhibit)))
             try:

@@ -40,8 +40,12 @@ class TrackedToolPoint:
         self._ends: tuple[dict[str, float], tuple[str, ...], tuple[EstimatedToolPoint | None, ...]] = ({}, (), ())
 
     def renew(self, time_s: float, degc: FloatArray) -> EstimatedToolPoint | None:
-        """Return the dynamics at a reading of all sensors [degC], shape (n,); None before every signal had a value."""
+        """Return the dynamics at a reading of all sensors [degC], shape (n,); None before every sensor had a value.
+
+        The mean of some of a signal's sensors is at another level than that of all, by which the model was fitted.
+        """
         signals = self._means.renew(degc)
+        signals[np.array(self._means.unheard()) > 0] = np.nan
         self._history.add(time_s, signals)
         dynamics = self._tracker.renew_from(time_s, signals)
         if dynamics is None:
@@ -53,6 +57,16 @@ class TrackedToolPoint:
             inhibit="; ".join(each for each in (dynamics.inhibit, self._few(degc)) if each),
         )
         return self.known
+
+    @property
+    def waits(self) -> str:
+        """Which signals wait for sensors that have had no value since the start, '' where none does."""
+        counts = zip(self._places.items(), self._means.unheard(), strict=True)
+        return "; ".join(
+            f"{count} of {len(places)} sensors of {signal} have had no value since the start, so its level is not known"
+            for (signal, places), count in counts
+            if count
+        )
 
     def _few(self, degc: FloatArray) -> str:
         """Return which signals stand on fewer than half of their sensors, '' where none does.

@@ -64,6 +64,10 @@ class SignalMeans:
         self._places = [np.asarray(each, dtype=np.intp) for each in places]
         self._counted = [np.full(len(each), np.nan) for each in self._places]
 
+    def unheard(self) -> list[int]:
+        """Return how many sensors of each label have never had a value; without them a mean has another level."""
+        return [int(np.isnan(counted).sum()) for counted in self._counted]
+
     def renew(self, degc: FloatArray) -> FloatArray:
         """Return the mean of each label at a reading of all sensors [degC], shape (labels,).
 

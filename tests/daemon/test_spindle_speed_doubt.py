@@ -129,3 +129,15 @@ async def test_a_sensor_that_came_back_at_another_level_counts_without_it(sensor
     await sensors.speak(60.0, SAFE, spindle=[35.0, 28.0, 28.0])
     assert sensors.sent[-1].believed_degc == pytest.approx(np.full(5, 28.0))
     assert sensors.bench.picture()["alarm"] == "" and sensors.bench.call()[0] == speed_rpm
+
+
+async def test_a_line_that_has_not_spoken_since_the_start_moves_no_speed(sensors: Sensors) -> None:
+    """The mean of the other one's sensors is at another level."""
+    bench = sensors.bench
+    await sensors.speak(30.0, SAFE, spindle=36.0, column=None)
+    bench.call()
+    await sensors.speak(20.0, SAFE, spindle=36.0, column=None)
+    assert "2 of 5 sensors of A have had no value since the start" in bench.picture()["alarm"]
+    assert bench.call()[0] == 9000.0 and bench.picture()["target_rpm"] is None
+    await sensors.speak(50.0, SAFE, spindle=36.0, column=20.0)
+    assert bench.picture()["alarm"] == "" and bench.call()[2] is SpeedStatus.APPLIED
