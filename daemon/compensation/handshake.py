@@ -32,6 +32,8 @@ class Handshake:
         self._begun = False
         self.counter: int | None = None
         """The latest counter that was seen; None before the first."""
+        self.answered: int | None = None
+        """The latest whose request was answered or given up; what was asked for after it may be done by half."""
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -50,7 +52,7 @@ class Handshake:
         if self._macros is None or (self._begun and not self.risen(macros)):
             return None
         self._begun, self._shown = True, self._counter_macro(macros)
-        self.counter = counter_of(macros, self._macros)
+        self.counter = self.answered = counter_of(macros, self._macros)
         if self.counter is None:
             found = parse_request(macros, self._macros, self._axes)
             return found if isinstance(found, Refusal) else None

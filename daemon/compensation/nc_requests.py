@@ -78,6 +78,7 @@ class RequestDesk:
             self._refuse(request)
         elif request is not None:
             self._serve(request)
+        self._note_answered()
 
     def refused(self, reference_id: str, why: str) -> None:
         """Take the refusal of a reference that was asked for."""
@@ -109,6 +110,7 @@ class RequestDesk:
             self._journal.raise_fault(f"{UNANSWERED}: {error}")
             return
         self._pending = None
+        self._note_answered()
         if pending.refusal:
             self._journal.say("refused", f"{pending.request}: {pending.refusal}")
         if receipt.outcome is not WriteOutcome.VERIFIED:
@@ -138,6 +140,12 @@ class RequestDesk:
             if pending.reference_id is not None:
                 self._references.withdraw(pending.reference_id)
                 self._references.end("the NC program gave up waiting for its reference")
+            self._note_answered()
+
+    def _note_answered(self) -> None:
+        """A restart takes the reference up again only where nothing was asked for that waits for its answer."""
+        if self._pending is None:
+            self._handshake.answered = self._handshake.counter
 
     def _serve(self, request: NcRequest) -> None:
         pending = self._pending = _Pending(request=request, number=float(request.counter))

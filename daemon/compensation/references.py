@@ -182,7 +182,7 @@ class References:
         """
         if self.left is not None and self.current is None:
             return
-        document = reference_restart.document_of(self.memory, self._rules, self._handshake.counter)
+        document = reference_restart.document_of(self.memory, self._rules, self._handshake.answered)
         now_s, kept = self._clock.now().real_s, self._kept
         changed = (
             kept is None
