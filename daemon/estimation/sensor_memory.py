@@ -14,7 +14,7 @@ from daemon.history.writer import HistoryWriter
 from daemon.state_store.documents import InOtherUnit, LevelChange, SensorLevelsDocument, SensorsLeft
 from daemon.state_store.store import StateStore
 from drivers.clock import Clock
-from models.control.reference_records import LabelOrigin, SensorsSinceReference
+from models.control.reference_records import LabelOrigin, ReferenceDocument, SensorsSinceReference
 from models.json_values import plain
 from models.records import FloatArray, Reference
 from models.sensor_levels import Left, SensorLevels, first_levels
@@ -255,6 +255,12 @@ class LevelMemory:
         )
         if not all(same):
             self._store.put(self._document(levels))
+
+    def excluded_before(self) -> dict[int, str]:
+        """Return what had been found wrong when the previous run ended; it holds until a reference says otherwise."""
+        kept = self._store.get(ReferenceDocument)
+        sensors = None if kept is None or kept.record is None else kept.record.sensors
+        return {} if sensors is None else dict(sensors.excluded)
 
     def units_restored(self) -> InOtherUnit:
         """Return the inputs that said another unit when the previous run ended."""

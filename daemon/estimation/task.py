@@ -132,6 +132,7 @@ class ThermalTask:
         self._since = SinceReference(self._sensor_ids, self._labels)
         self._levels = LevelMemory(history, self._sensor_ids, clock)
         self._cleansing.levels = self._levels.restored()
+        self._since.excluded = self._levels.excluded_before()
         self._cleansing.units.recall(self._levels.units_restored())
         self._tool_um_per_k = _tool_um_per_k(configuration)
         self._heard = np.zeros(len(self._sensor_ids), dtype=bool)

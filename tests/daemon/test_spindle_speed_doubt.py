@@ -11,7 +11,9 @@ from speed_rig import CUT, SAFE, SpeedRig
 from thermal_rig import Task, model
 
 from config.schema.service import HistoryConfig
+from daemon.state_store.store import StateStore
 from drivers.guard.speed_text import SpeedStatus
+from models.control.reference_records import ReferenceDocument, ReferenceRecord, ReferenceState
 from models.records import MachineTemperatures
 
 
@@ -141,3 +143,27 @@ async def test_a_line_that_has_not_spoken_since_the_start_moves_no_speed(sensors
     assert bench.call()[0] == 9000.0 and bench.picture()["target_rpm"] is None
     await sensors.speak(50.0, SAFE, spindle=36.0, column=20.0)
     assert bench.picture()["alarm"] == "" and bench.call()[2] is SpeedStatus.APPLIED
+
+
+async def test_what_was_excluded_before_a_restart_is_not_believed_before_the_reference_is_taken_up(
+    sensors: Sensors,
+) -> None:
+    """The control task takes the reference up when it has reached the CNC, and speeds are planned by then."""
+    await sensors.operation()
+    thermal = sensors.thermal
+    found = replace(thermal.sensors, excluded={3: "departure"})
+    record = ReferenceRecord(reference=thermal.task._reference, sensors=found)
+    StateStore(thermal.history, thermal.clock).put(ReferenceDocument(state=ReferenceState.VALID, record=record))
+    await thermal.history.flushed()
+    sensors.thermal = again = thermal.restarted(model())
+    for spindle in (28.0, 28.0, 28.0, 28.0):
+        again.delivered.clear()
+        await again.minutes(1 / 6, spindle=spindle, column=28.0)
+        sensors.told()
+    assert sensors.sent[-1].doubted == {2: "sensor 3 was found wrong"}
+    assert np.isnan(sensors.sent[-1].believed_degc).tolist() == [False, False, True, False, False]
+    again.delivered.clear()
+    await again.ask("r2")
+    await again.minutes(1 / 6, spindle=28.0, column=28.0)
+    sensors.told()
+    assert sensors.sent[-1].doubted == {}
