@@ -43,7 +43,13 @@ WHOLE_SHARE = 0.9
 LEAST_SHARE = 0.5
 """... and one that is for less than this did not follow: the replay ends with 1."""
 LINE = "recording"
-OF_THE_WIRES = ("no link to the CNC", "could not be polled", "has not passed its positioning", "echo is vacant")
+OF_THE_WIRES = (
+    "no link to the CNC",
+    "could not be polled",
+    "has not passed its positioning",
+    "echo is vacant",
+    "temperatures are stale",
+)
 """What keeps the output from following though the simulated wires are whole: a computer too busy for the speed."""
 OF_THE_MODEL = ("confidence", "outside the range")
 FAST_MARGIN = 1.5
@@ -341,6 +347,7 @@ def _macro_map(channels: tuple[str, ...]) -> dict[str, Any]:
         "echo_time": 580,
         "echo_status": 581,
         "echo_guard_version": 582,
+        "request": {"counter": 530, "kind": 531, "axis": 532, "value_mm": 533, "acknowledge": 534},
     }
 
 
@@ -350,7 +357,7 @@ def _guard(channels: tuple[str, ...]) -> dict[str, Any]:
         name: {"letter": letter, "number": number}
         for number, (name, letter) in enumerate(zip(channels, "XYZABCUVW", strict=False), start=1)
     }
-    return {"increment_mm": 0.0001, "axes": axes}
+    return {"increment_mm": 0.0001, "on_timeout": "continue", "axes": axes}
 
 
 def _commissioning(macros: dict[str, Any]) -> dict[str, Any]:

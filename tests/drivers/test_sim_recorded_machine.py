@@ -99,6 +99,23 @@ def test_a_map_with_a_handshake_asks_for_a_reference_at_positioning() -> None:
     assert played.nc.macros.get(531) == 0.0
 
 
+def test_work_is_positioned_until_the_daemon_has_taken_it_however_late_it_looks() -> None:
+    """Played 600 times as fast, 20 s are 33 ms of the wall clock: a busy daemon once missed them for good."""
+    played = machine(request=True)
+    for time_s in np.arange(0.0, LEAD_IN_S + 200.0, 5.0):
+        played.advance(float(time_s))
+    assert played.nc.sequence_number == 100
+    asked = played.nc.macros.get(530)
+    assert asked is not None and asked > 1.0, "it asks again after a while without an answer"
+    played.nc.macros.set(534, -asked)
+    played.advance(LEAD_IN_S + 225.0)
+    again = played.nc.macros.get(530)
+    assert played.nc.sequence_number == 100 and again is not None and again > asked, "and after a refusal"
+    played.nc.macros.set(534, again)
+    played.advance(LEAD_IN_S + 245.0)
+    assert played.nc.sequence_number == 900
+
+
 def test_what_was_measured_goes_straight_from_row_to_row() -> None:
     played = machine()
     played.advance(LEAD_IN_S + 55.0)

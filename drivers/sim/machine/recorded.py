@@ -1,8 +1,9 @@
 """A machine that plays a recording: its temperatures, displacements and spindle speed, on a simulated NC.
 
-The mean of the recording's first block stands still for `LEAD_IN_S`; then work is positioned, and from there on
-the tool is always at a safe point, so that the NC applies what it is given once a second. Temperatures, axis positions
-and displacements go straight from one row to the next: rows of a minute are no steps of several kelvin.
+The mean of the recording's first block stands still for `LEAD_IN_S`; then work is positioned, for as long as a request
+of that has no answer where the map has one. From there on the tool is always at a safe point, so that the NC applies
+what it is given once a second. Temperatures, axis positions and displacements go straight from one row to the next:
+rows of a minute are no steps of several kelvin.
 """
 
 from collections.abc import Mapping, Sequence
@@ -92,6 +93,8 @@ class RecordedMachine:
         self.time_s = 0.0
         of_column = {name: first_position + index for index, name in enumerate(recording.axis_positions)}
         self._positions = {letter: of_column[name] for name, letter in (positions or {}).items()}
+        self._request = macro_map.request
+        self._sequence_number = POSITIONING
         self._nc = NumericalControl(program=PROGRAM, clock_s=5000.0, clock_ppm=0.0, power_on_count=1, tool_number=1)
         self._guard = SafePointApplication(macro_map, axes, guard)
         self._nc.keeps_all = self._guard.keeps_all
@@ -123,10 +126,24 @@ class RecordedMachine:
         while self._coming and self._coming[0][0] <= to_s:
             start_s, block = self._coming.pop(0)
             self._programs.run_until(start_s)
+            if block.kind == "safe" and not self._answered:
+                self._coming.insert(0, (start_s + POSITIONING_S, block))
+                if self._programs.waits_until_s is not None:
+                    continue
+                block = Block(sequence_number=POSITIONING, kind="positioning", duration_s=POSITIONING_S)
+            self._sequence_number = self._nc.sequence_number = block.sequence_number
             self._programs.enter(block, start_s, probed_um=None)
         self._programs.run_until(np.nextafter(to_s, np.inf))
         if LEAD_IN_S <= to_s <= self.duration_s:
             self._blocks.add(to_s - LEAD_IN_S, self._error_um(), self._applied_um())
+
+    @property
+    def _answered(self) -> bool:
+        """Whether the daemon has set the reference that was asked for; True where nobody asks."""
+        if self._request is None:
+            return True
+        asked, answer = (self._nc.macros.get(n) for n in (self._request.counter, self._request.acknowledge))
+        return bool(asked) and answer == asked
 
     def register_codes(self, sensor_ids: Sequence[int]) -> list[int]:
         """Return the TMP102 codes of the recording's row now; NaN in the recording reads 0."""
@@ -213,7 +230,7 @@ class RecordedMachine:
         positioned = self.time_s >= LEAD_IN_S
         nc.run = RunCode.START if positioned else RunCode.STOP
         if positioned:
-            nc.sequence_number = POSITIONING if self.time_s < LEAD_IN_S + POSITIONING_S else SAFE
+            nc.sequence_number = self._sequence_number
 
 
 class BlockMeans:
