@@ -13,7 +13,9 @@ class ToolInSpindle:
         self._polled: int | None = None
         self._counted_from: str | None = None
         self._seen: dict[str, tuple[float, float]] = {}
-        """Of each label since this reference when it last had a value [s], and which mean increment [K]."""
+        """Of each label since this reference when its sensors were last heard [s], and which mean increment [K]."""
+        self._shown_s: dict[str, float] = {}
+        """When that increment was an estimate's [s]."""
         self.number = 0
 
     def on_sample(self, seen: int, estimate: ThermalErrorEstimate | None) -> None:
@@ -31,18 +33,20 @@ class ToolInSpindle:
         self._follow(estimate)
         begin_degc = {label: increment for label, (_, increment) in self._seen.items()}
         counted_from = estimate.reference_id if estimate is not None else None
-        self._references.tool_begins(ToolOrigin(number=number, begin_degc=begin_degc), counted_from, self.seen_s)
+        self._references.tool_begins(ToolOrigin(number=number, begin_degc=begin_degc), counted_from, self._shown_s)
 
     def _follow(self, estimate: ThermalErrorEstimate | None) -> None:
         if estimate is None:
             return
         if estimate.reference_id != self._counted_from:
-            self._counted_from, self._seen = estimate.reference_id, {}
+            self._counted_from, self._seen, self._shown_s = estimate.reference_id, {}, {}
         at_s, increments = estimate.trace.first_byte.monotonic_s, estimate.label_increment_degc
-        self._references.tool_set_right(self._seen, increments, at_s)
-        self._seen |= {label: (at_s, increment) for label, increment in increments.items()}
+        if estimate.held_s == 0.0:
+            self._references.tool_set_right(self._seen, increments, at_s)
+        self._seen |= {label: (at_s - estimate.held_s, increment) for label, increment in increments.items()}
+        self._shown_s |= dict.fromkeys(increments, at_s)
 
     @property
     def seen_s(self) -> dict[str, float]:
-        """When each label last had a value [s]."""
+        """When the sensors of each label were last heard [s]."""
         return {label: at_s for label, (at_s, _) in self._seen.items()}

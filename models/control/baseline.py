@@ -16,7 +16,7 @@ import numpy.typing as npt
 from models.control.inhibit import Inhibit, InhibitCode
 from models.control.measured import carried_over, offset_is_unsure, probe_of_tool_inhibit, with_model, with_probed
 from models.control.probing import ADVANCED_MIN, BiasFilter, BiasState, Wander, full_reset, unknown_bias
-from models.control.state import OutputInputs, OutputLimits, OutputMemory, ToolBaseline
+from models.control.state import UNKNOWN_UM, OutputInputs, OutputLimits, OutputMemory, ToolBaseline
 from models.records import FloatArray, OutputState, Phase
 
 SETTLING_STATES = (OutputState.ARMED, OutputState.ACTIVE, OutputState.HOLD)
@@ -354,7 +354,7 @@ def follow_confidence(memory: OutputMemory, inputs: OutputInputs, limits: Output
     return replace(memory, weight=weight_of(inputs.confidence, limits))
 
 
-def follow_error(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
+def follow_error(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> OutputMemory:
     """Remember the latest estimate, from which a new reference tells how far the machine had gone until then.
 
     Parameters
@@ -363,6 +363,8 @@ def follow_error(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
         From the previous step.
     inputs
         Estimate and what it counts from.
+    limits
+        An estimate of less than the least confidence is not followed.
 
     Returns
     -------
@@ -377,12 +379,13 @@ def follow_error(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
     if not known.any() or not np.isfinite(inputs.estimate_age_s):
         return memory
     before = memory.error_um if memory.error_um is not None else np.zeros_like(inputs.thermal_error_um)
+    trusted = inputs.in_domain and inputs.confidence >= limits.min_confidence
     return replace(
         memory,
         error_um=np.where(known, error_um, before),
         error_s=inputs.now_s - inputs.estimate_age_s,
         found_wrong_um=inputs.found_wrong_um,
-        fading_um=inputs.fading_um,
+        unsure_um=inputs.fading_um if trusted else UNKNOWN_UM,
     )
 
 
@@ -419,7 +422,7 @@ def _new_reference(memory: OutputMemory, inputs: OutputInputs, stale_after_s: fl
         error_s=inputs.now_s,
         error_reference_id=inputs.reference_id,
         found_wrong_um=0.0,
-        fading_um=0.0,
+        unsure_um=0.0,
         counted_found_um=None,
         tools=_tools_since(memory, inputs, stale_after_s),
     )

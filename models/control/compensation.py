@@ -149,7 +149,10 @@ def step(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> tu
     requested = _request(memory, inputs)
     command, hit = _limit(memory, inputs, limits, requested)
     memory = replace(
-        follow_error(memory, inputs), command_um=command, last_s=max(inputs.now_s, memory.last_s), limits_hit=hit
+        follow_error(memory, inputs, limits),
+        command_um=command,
+        last_s=max(inputs.now_s, memory.last_s),
+        limits_hit=hit,
     )
     enable = _enable_bits(memory, inputs)
     return memory, CompensationCommand(

@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from models.control.inhibit import Inhibit, InhibitCode
-from models.control.state import OutputInputs, OutputLimits, OutputMemory, ToolBaseline
+from models.control.state import UNKNOWN_UM, OutputInputs, OutputLimits, OutputMemory, ToolBaseline
 from models.records import FloatArray
 from models.thermal.estimation import UNSURE_UM
 
@@ -56,10 +56,14 @@ def measured_inhibit(memory: OutputMemory, inputs: OutputInputs, limits: OutputL
     what = f"tool T{inputs.tool_number} was set" if of_tool_um[worst] > UNSURE_UM else "a probe or a new model counted"
     return Inhibit(
         code=InhibitCode.CONFIDENCE,
-        text=f"axis {limits.axes[worst]}: {what} with a sensor that was found wrong later, or over a positioning while "
-        f"sensors had just returned, which may be {unsure_um[worst]:.1f} um",
+        text=f"axis {limits.axes[worst]}: {what} with a sensor that was found wrong later, or before a positioning at "
+        f"which the estimate was in doubt: it may be {_amount(float(unsure_um[worst]))} off",
         remedy="set the tool again, then probe, or position the work again",
     )
+
+
+def _amount(um: float) -> str:
+    return f"{um:.1f} um" if um < UNKNOWN_UM else "any number of um"
 
 
 def probe_of_tool_inhibit(memory: OutputMemory, inputs: OutputInputs) -> Inhibit | None:
@@ -101,7 +105,7 @@ def with_model(memory: OutputMemory) -> OutputMemory:
 
 
 def carried_over(memory: OutputMemory, tool_number: int, tool: ToolBaseline) -> ToolBaseline:
-    """Return a tool's setting at a new reference: what is in doubt of it stays so, and what still fades comes to it."""
+    """Return a tool's setting at a new reference: what is in doubt of it stays so, the estimate's doubt comes to it."""
     of_tool_um = tool_unsure_um(memory, tool_number, memory.found_wrong_um)
     unsure_um = np.maximum(of_tool_um, _offset_unsure_um(memory, tool_number, memory.found_wrong_um))
-    return replace(tool, found_wrong_um=-unsure_um - memory.fading_um)
+    return replace(tool, found_wrong_um=-unsure_um - memory.unsure_um)

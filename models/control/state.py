@@ -47,6 +47,10 @@ class OperatorRequest:
 NO_REQUEST = OperatorRequest()
 
 
+UNKNOWN_UM = 1e3
+"""Stands for an amount that nobody knows: more than any tool moves [um]."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ToolBaseline:
     """Where the request of a tool counts from on the axes that were set with this tool."""
@@ -167,8 +171,9 @@ class OutputMemory:
     """The reference that this estimate and the tool settings count from; it may have ended."""
     found_wrong_um: float = 0.0
     """What sensors that were found wrong since that reference were worth, at that estimate [um]."""
-    fading_um: float = 0.0
-    """What that estimate was still off for the step that a sensor's return would have been [um]."""
+    unsure_um: float = 0.0
+    """By how much that estimate was off for the step that a sensor's return would have been; `UNKNOWN_UM` where it was
+    not followed [um]."""
     counted_found_um: FloatArray | None = None
     """The same when a probe or a change of model was counted last, per axis; NaN, None: neither was."""
     tools: Mapping[int, ToolBaseline] = field(default_factory=lambda: MappingProxyType({}))

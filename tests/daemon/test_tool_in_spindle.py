@@ -29,7 +29,7 @@ class Taken:
 
 def estimate(reference_id: str = "r1", **increments: float) -> SimpleNamespace:
     trace = SimpleNamespace(first_byte=SimpleNamespace(monotonic_s=10.0))
-    return SimpleNamespace(reference_id=reference_id, label_increment_degc=increments, trace=trace)
+    return SimpleNamespace(reference_id=reference_id, label_increment_degc=increments, trace=trace, held_s=0.0)
 
 
 @pytest.mark.parametrize("by_poll", [True, False])
@@ -73,6 +73,8 @@ class Kept:
 
 
 AWAY_S, BACK_S, END_S = 600.0, 1440.0, 2400.0
+HELD_S = 120.0
+"""The last temperature counts for so long though none comes [s]."""
 
 
 def nose_degc(time_s: float) -> float:
@@ -82,10 +84,11 @@ def nose_degc(time_s: float) -> float:
 
 @pytest.mark.parametrize(
     ("comes_s", "known"),
-    [(300.0, True), (640.0, True), (900.0, False), (1410.0, True)]
+    [(300.0, True), (640.0, True), (690.0, False), (900.0, False), (1410.0, True)]
     + [(BACK_S + after_s, True) for after_s in (5.0, 15.0, 30.0, 60.0, 300.0)],
 )
 def test_a_tool_counts_from_what_its_sensor_had_when_it_came_or_nobody_knows(comes_s: float, known: bool) -> None:
+    """What is held is of before: a tool that came 111 s into a silence of 212 s began at what was read before it."""
     since = SinceReference([7], {"nose": np.array([0])})
     origin = Reference(
         reference_id="r1",
@@ -103,13 +106,14 @@ def test_a_tool_counts_from_what_its_sensor_had_when_it_came_or_nobody_knows(com
     for time_s in np.arange(10.0, END_S, 5.0):
         kept.now_s = time_s
         if time_s % 10.0 == 0.0:
-            heard = np.nan if AWAY_S < time_s < BACK_S else nose_degc(time_s)
+            held = AWAY_S < time_s <= AWAY_S + HELD_S
+            heard = np.nan if AWAY_S + HELD_S < time_s < BACK_S else nose_degc(AWAY_S if held else time_s)
             shown = since.label_increments(np.array([heard]), time_s / 60.0)
             now = estimate(**shown)
-            now.trace.first_byte.monotonic_s = time_s
-            tool.on_sample(1 if time_s < comes_s else 2, now)
+            now.trace.first_byte.monotonic_s, now.held_s = time_s, time_s - AWAY_S if held else 0.0
             if (sensors := since.changed()) is not None:
                 kept.memory = reference.with_sensors(kept.memory, sensors, time_s, tool.seen_s)
+            tool.on_sample(1 if time_s < comes_s else 2, now)
         elif time_s >= comes_s:
             tool.on_sample(2, now)
     begin_degc = reference.tool_begin_degc(kept.memory, 2, "r1")["nose"]

@@ -104,6 +104,17 @@ def test_a_tool_of_before_is_held_when_the_work_is_positioned_while_a_return_fad
     assert tool_set(machine).memory.state is OutputState.ACTIVE
 
 
+@pytest.mark.parametrize("doubt", [{"confidence": 0.0}, {"in_domain": False}])
+def test_a_tool_of_before_is_held_when_the_work_is_positioned_while_the_estimate_is_not_followed(doubt):
+    machine = tool_set(Machine().following()).set(tool_number=2).step(2)
+    trusted = {key: getattr(machine.state, key) for key in doubt}
+    machine.set(**doubt).step(3).set(**NOTHING, **trusted).step(3)
+    assert machine.memory.state is OutputState.ACTIVE, "the tool in the spindle is set by the reference"
+    assert machine.set(tool_number=1).step(2).memory.state is OutputState.HOLD
+    assert "any number of um off" in machine.memory.reason
+    assert tool_set(machine).memory.state is OutputState.ACTIVE
+
+
 def test_a_sensor_that_was_wrong_at_the_reference_already_holds_tools_of_before():
     machine = tool_set(Machine().following())
     machine.set(tool_number=2).step(2)
