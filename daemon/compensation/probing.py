@@ -72,8 +72,12 @@ class MeasuredByNc:
 
     def change_tool(self, tool_number: int) -> None:
         """Take the tool that the NC program names into the spindle."""
-        self.tool.begin(tool_number, self._look().estimate)
+        self.tool.name(tool_number, self._look().estimate)
         self._journal.say("tool", f"T{tool_number} in the spindle")
+
+    def inhibits(self) -> tuple[Inhibit | None, Inhibit | None]:
+        """Return what probes say against the model, and why the tool in the spindle is not known."""
+        return self._skill.inhibit(), self.tool.inhibit()
 
     def take_probe(self, axis: str, deviation_um: float) -> str:
         """Let a probe value correct the estimate, or return why not; it reaches the history either way."""

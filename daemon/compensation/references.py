@@ -54,6 +54,7 @@ class References:
         self._rules = reference_rules(configuration, clock.speed, um_per_unit)
         self._safe_sequence_numbers = frozenset(configuration.compensation.output.safe_sequence_numbers)
         self._safe_flag = configuration.cnc.macros.safe_flag
+        self._tool_expands = any(axis.tool_term is not None for axis in configuration.compensation.axes.values())
         self._clock = clock
         self._history = history
         self._store = StateStore(history, clock)
@@ -76,6 +77,12 @@ class References:
     def kept_id(self) -> str | None:
         """The reference in force or, when it has ended, the one that tool settings still count from."""
         return None if self.memory.record is None else self.memory.record.reference_id
+
+    @property
+    def tools_differ(self) -> bool:
+        """It matters which tool is in the spindle: one was set, or its own expansion counts."""
+        baseline = None if self.memory.record is None else self.memory.record.baseline
+        return self._tool_expands or (baseline is not None and bool(baseline.tools))
 
     @property
     def zero_first(self) -> bool:

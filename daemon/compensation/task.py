@@ -299,4 +299,4 @@ class ControlTask:
     def _inhibits(self, asked: frozenset[str]) -> tuple[Inhibit, ...]:
         wanted = compress(self.limits.axes, self.memory.wanted if self.memory is not None else ())
         inhibits = self._parts.interlocks.inhibits(self.session, asked.union(wanted))
-        return (*inhibits, *filter(None, (self._startup.inhibit(), self.skill.inhibit())))
+        return (*inhibits, *filter(None, (self._startup.inhibit(), *self._measured.inhibits())))

@@ -104,3 +104,42 @@ async def test_a_restart_after_a_power_cycle_does_not(bench):
         assert not rig.control.memory.tools
         assert any("settings of T2 have ended" in notice for notice in rig.control.journal.notices)
         assert rig.asked == []
+
+
+async def test_a_tool_that_is_prepared_in_the_cut_lends_its_setting_to_none_in_the_spindle(bench):
+    async with running(bench.rig()) as rig:
+        await tool_2_set(rig, bench)
+        bench.nc.work_offset = 55
+        await rig.turn()
+        await rig.follow(0.0, -15.0, 5, reference_id="r1")
+        rig.set_reference("r2")
+        await rig.follow(0.0, 0.0, 10)
+        stood = rig.applied["z"]
+        bench.nc.tool_number = 2  # what #4120 says when T2 is prepared while T1 cuts
+        await rig.follow(0.0, 0.0, 40)
+        assert rig.applied["z"] == pytest.approx(stood, abs=0.01)
+        assert rig.state == "HOLD" and "shows T2, and the NC program has named T1" in rig.control.memory.reason
+        ask(bench, 4, TOOL_CHANGE, 0, 2.0)
+        await rig.follow(0.0, 0.0, 40)
+        assert rig.state == "ACTIVE" and answer(bench) == 4.0
+        assert rig.applied["z"] == pytest.approx(8.0 + 7.0, abs=0.11), "its own setting, and what came since"
+
+
+async def test_another_program_that_names_no_tool_has_what_the_control_shows(bench):
+    async with running(bench.rig()) as rig:
+        await tool_2_set(rig, bench)
+        bench.nc.tool_number = 2
+        await rig.turn()
+        bench.nc.program = 2000
+        await rig.turn()
+        assert rig.control._measured.tool.number == 2 and rig.control._measured.tool.inhibit() is None
+
+
+async def test_where_no_tool_is_set_and_none_expands_its_number_holds_nothing(bench):
+    async with running(bench.rig()) as rig:
+        await rig.active(handshake=True)
+        ask(bench, 1, TOOL_CHANGE, 0, 1.0)
+        await rig.follow(0.0, -3.0, 4)
+        bench.nc.tool_number = 2
+        await rig.follow(0.0, -3.0, 10)
+        assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(3.0, abs=0.11)
