@@ -51,6 +51,8 @@ OF_THE_WIRES = (
     "temperatures are stale",
 )
 """What keeps the output from following though the simulated wires are whole: a computer too busy for the speed."""
+OF_THE_PAST = "stand for the last"
+"""In what the daemon says of a model whose lags stand for hours that it does not know."""
 OF_THE_MODEL = ("confidence", "outside the range")
 FAST_MARGIN = 1.5
 """A change within a cycle may be so many times the fastest of the recording."""
@@ -200,6 +202,17 @@ class Following:
         if "sensor " in self.why:
             return "look at that sensor in the recording, and leave its fields empty where it is wrong"
         return ""
+
+
+def not_enabled(refusal: str) -> str:
+    """Return why a replay could not be switched on, with what to do about it in a replay."""
+    if OF_THE_PAST not in refusal:
+        return refusal
+    return (
+        f"{refusal.partition('; wait')[0]}: begin the replay where the machine has stood still for hours "
+        "(--from-hours), or join what was recorded before to the file; what begins warm can be played with a model "
+        "without lags alone (`toolpoint thermal train --model ridge`)"
+    )
 
 
 def following(

@@ -13,6 +13,7 @@ from daemon.estimation.task import ThermalTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.messages import ReferenceRequest, ReferenceTakenUp, SensorsSinceReference, SpindleSpeed
+from daemon.simulation.replaying import not_enabled
 from daemon.telemetry.metrics import Telemetry
 from models.control.state import OperatorRequest
 from models.quality import Quality, Reason
@@ -225,6 +226,8 @@ async def test_a_warm_machine_without_a_past_is_doubted_says_what_it_needs_and_h
     early = shop.latest
     assert early.confidence < 0.7
     assert "the last 16.0 h of temperatures and spindle speed" in early.inhibit
+    in_a_replay = not_enabled(f"the daemon refused to enable: {early.inhibit}")
+    assert "begin the replay where the machine has stood still" in in_a_replay and "; wait" not in in_a_replay
     assert shop.task.inhibit() == early.inhibit
     assert early.band_um > 1.2 * model_with_speed.band_um
     await shop.run(12 * 60)

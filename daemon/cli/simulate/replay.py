@@ -22,6 +22,7 @@ from daemon.cli.common import (
 from daemon.cli.pages import html_option, write_page
 from daemon.cli.simulate.demo import simulation_folder
 from daemon.history.reader import HistoryReader
+from daemon.simulation import SimulationError
 from daemon.simulation.demonstration import settle, switch_on, watch
 from daemon.simulation.processes import RunningSimulation, start_simulation, write_simulation_configuration
 from daemon.simulation.replaying import (
@@ -32,6 +33,7 @@ from daemon.simulation.replaying import (
     following,
     map_of,
     modelled,
+    not_enabled,
     played_positions,
     played_utc_s,
     playing_time_s,
@@ -111,7 +113,7 @@ def replay(
             arguments += ["--map", str(map_path.resolve())]
         began_s = time.time()
         with start_simulation(arguments, path, speed=speed, epoch_utc_s=began_s, directory=folder) as running:
-            switch_on(running)
+            _enable(running)
             _follow(running, until_s)
             final, status = settle(running)
         with HistoryReader(running.configuration.history.path) as reader:
@@ -204,6 +206,13 @@ def positions_played(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[str
             f"axis position {name}: played as axis {one['axis']} of the simulated control, straight from row to row; "
             f"{lost if one['known'] < 1.0 else 'missing nowhere'}"
         )
+
+
+def _enable(running: RunningSimulation) -> None:
+    try:
+        switch_on(running)
+    except SimulationError as error:
+        refuse(not_enabled(str(error)))
 
 
 def _follow(running: RunningSimulation, until_s: float) -> None:
