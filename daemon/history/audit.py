@@ -33,7 +33,10 @@ def possible_macros(newest_first: Iterable[WriteRecord], of: Sequence[int]) -> d
     for record in reversed(since_verified):
         if record.outcome is WriteOutcome.REFUSED:
             continue
+        apart = not of and record.state is None and record.outcome is not WriteOutcome.VERIFIED
         for number, value in record.macros:
+            if apart and number not in possible:
+                continue  # it may not have arrived, and what stood there before is not told: it counts as found
             before = () if record.outcome is WriteOutcome.VERIFIED else possible.get(number, ())
             possible[number] = before if value in before else (*before, value)
     return possible
