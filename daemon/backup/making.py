@@ -31,7 +31,7 @@ from daemon.backup.manifest import (
     last_block_beside,
     signature_name,
 )
-from daemon.backup.names import existing_backups
+from daemon.backup.names import backup_name, existing_backups
 from daemon.history.database import HistoryError, schema_version
 from daemon.history.retention import backup as copy_store
 from daemon.model_release.repository import released
@@ -42,9 +42,12 @@ BACKUP_MODE = 0o640
 def remove_old(folder: Path, machine: str, keep: int, spare: Path | None = None) -> list[Path]:
     """Remove all but the newest `keep` of the machine's back-ups in a folder; return what was removed.
 
-    `spare` stays in any case: after a step of the clock the one just made may not be the newest by name.
+    `spare` stays in any case: after a step of the clock the one just made may not be the newest by name. One from the
+    future was made while the clock was ahead, and counts as older than those of a clock that is right.
     """
-    old = [path for path in existing_backups(folder, machine)[:-keep] if path != spare]
+    now = backup_name(machine, datetime.now(UTC))
+    by_age = sorted(existing_backups(folder, machine), key=lambda path: (path.name <= now, path.name))
+    old = [path for path in by_age[:-keep] if path != spare]
     for path in old:
         path.unlink(missing_ok=True)
     return old

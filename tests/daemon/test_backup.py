@@ -131,6 +131,19 @@ def test_only_this_machines_backups_are_removed(installation):
     assert sorted(path.name for path in folder.iterdir()) == sorted([*mine[3:], *others])
 
 
+def test_backups_of_a_clock_that_was_ahead_make_room_for_those_of_the_right_one(installation):
+    folder = installation.folder / "backups"
+    folder.mkdir()
+    ahead = [f"toolpoint-mill-7-hall-2099010{day}T000000Z.tar" for day in range(1, 4)]
+    right = [f"toolpoint-mill-7-hall-2026010{day}T000000Z.tar" for day in range(1, 4)]
+    for name in ahead:
+        (folder / name).touch()
+    for name in right:
+        (folder / name).touch()
+        remove_old(folder, "Mill 7 (hall)", 3, spare=folder / name)
+    assert sorted(path.name for path in folder.iterdir()) == right
+
+
 # --- proving ---------------------------------------------------------------------------------
 
 
