@@ -38,13 +38,14 @@ class Truth:
     zero_first: bool = False
     """The NC program has passed its retreat block and not been positioned since, under that policy."""
     reference_blind: bool = False
-    """Lines were disturbed when the reference was set, so that some labels may count from nothing."""
+    """Lines were disturbed when the reference was set or the tool came, so that labels may count from nothing."""
     model_has_states: bool = False
     """The model needs hours of history; it may still say that it has too little."""
     sensor_was_wrong: bool = False
     """A sensor has been stuck or drifted since the reference, so that the estimate may really do harm."""
-    sensor_has_been_wrong: bool = False
-    """A sensor has been wrong in this campaign, so that what was measured meanwhile may be off."""
+    measured_in_doubt: bool = False
+    """A sensor has been wrong in this campaign, or the work positioned while the estimate was not followed: what was
+    measured before may be off."""
     frozen_in_cut: bool = False
     """The work is being cut, and confidence is less than what the estimate was weighed with before the cut."""
 
@@ -82,7 +83,7 @@ def ready(truth: Truth, claims: Claims, least_confidence: float) -> bool:
         and (claims.estimated or not truth.reference_blind)
         and not (claims.doubtful and truth.model_has_states)
         and not (claims.harmful and truth.sensor_was_wrong)
-        and not (FOUND_LATER in claims.reason and truth.sensor_has_been_wrong)
+        and not (FOUND_LATER in claims.reason and truth.measured_in_doubt)
         and not truth.frozen_in_cut
     )
 

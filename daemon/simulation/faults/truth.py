@@ -14,6 +14,8 @@ TEMPERATURES_LATE_S = 25.0
 """Temperatures arrive when a line has sent a whole cycle within this time [s]."""
 BLIND_BEFORE_S = 120.0
 """A reference is the mean of its last minute, and a line that sent nothing counts again half a minute later [s]."""
+FADED_AFTER_S = 300.0
+"""The step of a line's return has faded [s]."""
 ZERO_UM = 1e-6
 
 
@@ -36,7 +38,9 @@ class TruthKeeper:
         self._reference: str | None = None
         self._reference_s = 0.0
         self._sensor_wrong_s = -1e9
-        self._blind = False
+        self._blind = self._doubted = False
+        self._followed = True
+        self._tool, self._tool_blind = world.machine.nc.tool_number, False
 
     def cycle(self, time_s: float, *, whole: bool, heard: bool) -> None:
         if heard:
@@ -45,13 +49,22 @@ class TruthKeeper:
             self._disturbed_s = time_s
 
     def heard(self, time_s: float, claims: Claims) -> None:
-        """Take what the daemon says: was a line away when its reference was set, has confidence fallen in a cut?"""
+        """Take what the daemon says: was a line away when its reference was set, has confidence fallen in a cut?
+
+        A tool that comes while a line is away may have no temperature of then; tools that were set before are in doubt
+        when the work is positioned while the estimate is not followed, or a line has only just returned.
+        """
         nc = self._world.machine.nc
+        if nc.tool_number != self._tool:
+            self._tool, self._tool_blind = nc.tool_number, time_s - self._disturbed_s <= TEMPERATURES_LATE_S
         cutting = nc.run == RunCode.START and nc.sequence_number not in self._safe
         self._frozen = self._freeze.look(claims, self._least, cutting=cutting)
         if claims.reference != self._reference:
             self._reference, self._reference_s = claims.reference, time_s
             self._blind = time_s - self._disturbed_s <= BLIND_BEFORE_S
+            self._doubted |= not self._followed or time_s - self._disturbed_s <= FADED_AFTER_S
+            self._tool_blind = False
+        self._followed = claims.confidence >= self._least and claims.in_domain
 
     def begun(self, happening: Happening) -> None:
         if happening.kind in QUIET:
@@ -94,9 +107,9 @@ class TruthKeeper:
             echo_known=self.echo_known,
             at_zero=self.echo_known and all(abs(value) * unit_um <= ZERO_UM for value in known),
             zero_first=self._operations.retreating,
-            reference_blind=self._blind,
+            reference_blind=self._blind or self._tool_blind,
             sensor_was_wrong=self._sensor_wrong_s >= self._reference_s,
-            sensor_has_been_wrong=self._sensor_wrong_s > 0.0,
+            measured_in_doubt=self._sensor_wrong_s > 0.0 or self._doubted,
             frozen_in_cut=self._frozen,
             model_has_states=any(map(self._models.is_watching, (claims.model, self._models.model_id))),
         )
