@@ -154,6 +154,7 @@ class Cleansing:
         """Hold the first temperatures against what was accepted last [degC], at which times [s]; NaN where nothing."""
         self._state = initial_state(len(degc), degc, at_s)
         self.levels = with_past(self.levels, degc, at_s)
+        self.units.recall_past(degc)
 
     def trust_anew(self) -> None:
         """Take every sensor's level as it is: a new reference counts from it."""

@@ -1,7 +1,7 @@
 """The documents: one frozen record per key of the store's table `state`."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,3 +91,5 @@ class InOtherUnit:
     """By name of the input."""
     degc: Mapping[int, float]
     """What counted last of their sensors [degC], by ID."""
+    configured: Mapping[str, str] = field(default_factory=dict)
+    """By name of every source: the unit that was configured."""

@@ -126,3 +126,16 @@ async def test_that_a_box_says_another_unit_outlives_a_restart(tmp_path: Path) -
     assert [fed(10.0 * i, 80.0, 84.0).quality[4] == Quality.GOOD for i in range(12)] == [False] * 12
     assert "degF" in fed.refusal(120.0)
     assert of_box([fed(130.0 + 10.0 * i, 27.0, 29.0) for i in range(4)][-1]) == [27.0, 29.0] and not fed.refusal(160.0)
+
+
+@pytest.mark.parametrize("configured", ["degC", "degF"])
+def test_a_box_that_was_switched_while_the_daemon_was_away_is_found_unless_the_configuration_was_set_right(
+    configured: str,
+) -> None:
+    fed = Fed()
+    fed._cleansing.units.recall(InOtherUnit(units={}, degc={}, configured={"box": configured}))
+    past = np.array([np.nan] * 4 + [20.0, 24.0])
+    fed._cleansing.recall(past, np.where(np.isnan(past), -np.inf, -30.0))
+    last = [fed(10.0 * i, 68.0, 75.2) for i in range(12)][-1]
+    assert (last.quality[4] == Quality.GOOD) == (configured == "degF")
+    assert ("degF" in fed.refusal(120.0)) == (configured == "degC")
