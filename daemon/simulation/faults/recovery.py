@@ -43,7 +43,7 @@ class Truth:
     """The model needs hours of history; it may still say that it has too little."""
     sensor_was_wrong: bool = False
     """A sensor has been stuck or drifted since the reference, so that the estimate may really do harm."""
-    measured_in_doubt: bool = False
+    measured_unsurely: bool = False
     """A sensor has been wrong in this campaign, or the work positioned while the estimate was not followed: what was
     measured before may be off."""
     frozen_in_cut: bool = False
@@ -83,7 +83,7 @@ def ready(truth: Truth, claims: Claims, least_confidence: float) -> bool:
         and (claims.estimated or not truth.reference_blind)
         and not (claims.doubtful and truth.model_has_states)
         and not (claims.harmful and truth.sensor_was_wrong)
-        and not (FOUND_LATER in claims.reason and truth.measured_in_doubt)
+        and not (FOUND_LATER in claims.reason and truth.measured_unsurely)
         and not truth.frozen_in_cut
     )
 

@@ -109,7 +109,7 @@ class TruthKeeper:
             zero_first=self._operations.retreating,
             reference_blind=self._blind or self._tool_blind,
             sensor_was_wrong=self._sensor_wrong_s >= self._reference_s,
-            measured_in_doubt=self._sensor_wrong_s > 0.0 or self._doubted,
+            measured_unsurely=self._sensor_wrong_s > 0.0 or self._doubted,
             frozen_in_cut=self._frozen,
             model_has_states=any(map(self._models.is_watching, (claims.model, self._models.model_id))),
         )
