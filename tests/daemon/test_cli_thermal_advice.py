@@ -158,6 +158,16 @@ def test_what_cannot_be_left_out_is_said(tmp_path: Path, arguments: tuple[str, .
     assert (result.exit_code, sentence in result.stderr) == (2, True), result.output
 
 
+def test_a_recording_that_is_given_twice_is_refused_by_training_as_by_an_evaluation(tmp_path: Path) -> None:
+    """Left out in turn it would be predicted by a model that had seen it, under whatever name."""
+    paths = [run(tmp_path, number) for number in (1, 2)]
+    (copy := tmp_path / "copy.csv").write_bytes(paths[0].read_bytes())
+    command = ["thermal", "train", *map(str, (*paths, copy)), "--model", "ridge", "-o", str(tmp_path / "m.json")]
+    result = CliRunner().invoke(main, command)
+    assert result.exit_code == 2, result.output
+    assert "copy.csv: recordings 1 and 3 hold the same temperatures; give each run once" in result.stderr
+
+
 def test_who_names_no_family_gets_the_one_that_the_recordings_support_best(tmp_path: Path) -> None:
     paths = [str(run(tmp_path, number)) for number in range(1, 4)]
     arguments = ["thermal", "train", *paths, "-o", str(tmp_path / "model.json"), "--json", "-"]

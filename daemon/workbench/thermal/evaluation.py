@@ -9,7 +9,7 @@ import numpy as np
 
 from config.recordings.recording_map import RecordingMap
 from daemon.workbench.thermal.choice_figures import choice_figures, choice_of
-from daemon.workbench.thermal.reading import read_alike
+from daemon.workbench.thermal.reading import read_alike, require_different
 from daemon.workbench.thermal.result_pages import Stretch
 from daemon.workbench.thermal.shortfalls import (
     beyond_training,
@@ -124,7 +124,7 @@ def evaluate(
     Raises DatasetError when the recordings cannot be trained on or tested as asked for.
     """
     if protocol.leave_out == "runs":
-        _require_different(recordings)
+        require_different(recordings)
     whole = build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())
     parts = _parts(whole, protocol)
     _require_faults(whole, parts, protocol.faults)
@@ -156,17 +156,6 @@ def _trained(inputs: Inputs, protocol: Protocol) -> BoolArray:
     if protocol.train_hours is None:
         return np.ones(inputs.rows, dtype=np.bool_)
     return inputs.rows_between(*protocol.train_hours)
-
-
-def _require_different(recordings: Sequence[Recording]) -> None:
-    """Refuse a recording that is given twice: it would be tested on a model that was trained on it."""
-    for second, recording in enumerate(recordings):
-        for first, other in enumerate(recordings[:second]):
-            if np.array_equal(recording.temperatures_degc, other.temperatures_degc, equal_nan=True):
-                raise DatasetError(
-                    f"{recording.name}: recordings {first + 1} and {second + 1} hold the same temperatures; give each "
-                    "run once, or the model is tested on what it was trained on"
-                )
 
 
 def _parts(inputs: Inputs, protocol: Protocol) -> list[_Part]:

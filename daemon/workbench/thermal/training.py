@@ -12,7 +12,7 @@ from config.files import write_whole
 from config.recordings.recording_map import RecordingMap
 from config.schema.base import NAME_PATTERN
 from daemon.telemetry.metrics import keep_one_heap
-from daemon.workbench.thermal.reading import read_alike
+from daemon.workbench.thermal.reading import read_alike, require_different
 from models.json_values import finite_or_none
 from models.recordings.dataset import DatasetError, Recording
 from models.thermal.family import ThermalModel
@@ -64,7 +64,9 @@ def selected_recordings(
 ) -> list[Recording]:
     """Read the part of the recordings that is trained on; raises RecordingFileError or DatasetError."""
     kept = kept_paths(paths, selection)
-    return [_selected(r, selection) for r in read_alike(kept, recording_map, progress, common=selection.common_columns)]
+    read = read_alike(kept, recording_map, progress, common=selection.common_columns)
+    require_different(read)
+    return [_selected(recording, selection) for recording in read]
 
 
 def kept_paths(paths: Sequence[Path], selection: Selection) -> list[Path]:
