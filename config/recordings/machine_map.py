@@ -69,9 +69,8 @@ def load_machine_map(path: Path, recordings: Sequence[Path]) -> tuple[MachineFil
         for pattern in entry.recordings:
             matches = [file for file in whole if fnmatchcase(file, str(folder / pattern))]
             if not matches:
-                refuse(
-                    name, "recordings", f"{pattern!r} is none of the recordings that were given; name it, or give it"
-                )
+                missing = f"{pattern!r} is none of the recordings that were given"
+                refuse(name, "recordings", f"{missing}: give it on the command line, or take it out of the map")
             own += [file for file in matches if file not in own]
         for file in own:
             if (other := owners.setdefault(file, name)) != name:

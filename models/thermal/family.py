@@ -121,6 +121,8 @@ def _gaussian_model(content: bytes) -> ThermalModel:
     return gaussian_model(content)
 
 
+MACHINE_TYPE = "machine-type"
+"""Family of a file that holds what many machines of a type teach."""
 FAMILIES: dict[str, Loader] = {
     "linear": linear_model,
     "gaussian": _gaussian_model,
@@ -141,6 +143,8 @@ def model_from_json(content: str | bytes, source: str) -> ThermalModel:
         family = family_of(data)
         if family is None:
             return old_model(parse(data.decode()))
+        if family == MACHINE_TYPE:
+            raise ModelError("family", "is a type of machine: `toolpoint thermal train --prior` makes a model of it")
         if family not in FAMILIES:
             raise ModelError("family", f"{family!r} is unknown; this version knows {', '.join(FAMILIES)}")
         return FAMILIES[family](data)

@@ -101,6 +101,11 @@ def test_an_unknown_format_version_is_refused(version: object) -> None:
         model_from_json(text, "m.json")
 
 
+def test_a_type_of_machine_is_no_model_and_says_how_to_make_one() -> None:
+    with pytest.raises(ModelError, match=r"m\.json: family: is a type of machine: .* train --prior"):
+        model_from_json(signed("{}", family="machine-type"), "m.json")
+
+
 def test_an_unknown_family_is_refused() -> None:
     with pytest.raises(ModelError, match=r"m\.json: family: 'forest' is unknown; this version knows linear"):
         model_from_json(signed("{}", family="forest"), "m.json")

@@ -6,10 +6,10 @@ import numpy as np
 
 from models.model_file import ModelError, Numbers, Packed, family_of, file_text, record_of
 from models.records import FloatArray
+from models.thermal.family import MACHINE_TYPE
 from models.thermal.training.fleet.places import Part
 from models.thermal.training.fleet.products import Space
 
-FAMILY = "machine-type"
 COUNTS = (0, 1, 3, 10)
 """Numbers of recordings of a sister for which it is told how good a model with and without the fleet is."""
 
@@ -83,7 +83,7 @@ class MachineType:
 
     def to_json(self) -> str:
         """Return the text of its file."""
-        return file_text(FAMILY, self)
+        return file_text(MACHINE_TYPE, self)
 
 
 def machine_type_from_json(content: bytes, source: str) -> MachineType:
@@ -93,7 +93,7 @@ def machine_type_from_json(content: bytes, source: str) -> MachineType:
     """
     try:
         family = family_of(content)
-        if family != FAMILY:
+        if family != MACHINE_TYPE:
             kind = "no model file of format 3" if family is None else f"a model of the family {family!r}"
             raise ModelError("family", f"this is {kind}, not a type of machine; `toolpoint fleet train -o` writes one")
         return record_of(content, MachineType)
