@@ -193,16 +193,15 @@ def _judged(
 ) -> tuple[SensorLevels, FloatArray]:
     shift_k, uncertainty_k, changes = levels.shift_k.copy(), levels.uncertainty_k.copy(), list(levels.changes)
     counted = degc.copy()
-    away = [*levels.left, *seen.indices[judged].tolist()]
-    beside = levels.uncertainty_k == 0.0
-    beside[away] = False
+    beside_degc = np.where(levels.uncertainty_k == 0.0, degc, np.nan)
+    beside_degc[[*levels.left, *seen.indices[judged].tolist()]] = np.nan
     for place in np.flatnonzero(judged):
         index = int(seen.indices[place])
         off_k, spread_k, near_k = float(seen.jump_k[place]), np.inf, OWN_K
         if seen.jump_k[place] == 0.0 and (then := levels.left.get(index)) is not None:
-            off_k, spread_k, near_k = _departure(
-                index, then, group, np.where(beside, degc, np.nan), degc[index], seen.now_s
-            )
+            common = abs(_common_k(then, seen.indices, degc, seen.now_s)) > OWN_K
+            others_degc = beside_degc if common else degc  # with one error those that were away too prove nothing
+            off_k, spread_k, near_k = _departure(index, then, group, others_degc, degc[index], seen.now_s)
         elif seen.returned[place]:
             continue
         before_k = shift_k[index]
@@ -224,18 +223,33 @@ def _judged(
     return found, counted
 
 
+def _expected_degc(then: Left, now_s: float) -> FloatArray:
+    return np.asarray(then.degc + then.trend_k_per_min * (now_s - then.at_s) / 60.0)
+
+
+def _common_k(then: Left, line: GroupArray, degc: FloatArray, now_s: float) -> float:
+    """Return by how much a line's sensors have departed in common [K].
+
+    What its sensors do alike, whatever they sit on, no warming does: a whole line may come back with one error.
+    """
+    change_k = (degc - _expected_degc(then, now_s))[line]
+    known = change_k[np.isfinite(change_k)]
+    return float(np.median(known)) if len(known) else 0.0
+
+
 def _departure(
-    index: int, then: Left, group: GroupArray, beside_degc: FloatArray, own_degc: float, now_s: float
+    index: int, then: Left, group: GroupArray, others_degc: FloatArray, own_degc: float, now_s: float
 ) -> tuple[float, float, float]:
     """Return how far a sensor is from where it is expected, how far those beside it are, and how near is near [K].
 
-    `beside_degc`: of those that were not away too and are not doubted; a whole line may come back with one error.
+    `others_degc`: of those that may explain it, NaN for the rest.
     """
     away_min = (now_s - then.at_s) / 60.0
-    expected_degc = then.degc + then.trend_k_per_min * away_min
-    change_k = beside_degc - expected_degc
+    expected_degc = _expected_degc(then, now_s)
+    change_k = others_degc - expected_degc
     own_k = float(own_degc - expected_degc[index])
     known = np.isfinite(change_k)
+    known[index] = False
     beside_k = change_k[known & (group == group[index])]
     if len(beside_k) < LEAST_BESIDE:
         beside_k = change_k[known]
