@@ -146,10 +146,10 @@ class References:
         """Set a tool right that came into the spindle while a label had no value."""
         self.memory = reference.tool_set_right(self.memory, before, now_degc, now_s)
 
-    def tool_begins(self, tool: ToolOrigin, estimate_reference_id: str | None, seen_s: Mapping[str, float]) -> None:
+    def tool_begins(self, tool: ToolOrigin, estimate_reference_id: str | None, shown_s: Mapping[str, float]) -> None:
         """Let the expansion of the tool in the spindle count from now."""
         now_s = self._clock.now().monotonic_s
-        self.memory = reference.tool_begins(self.memory, tool, estimate_reference_id, now_s, seen_s)
+        self.memory = reference.tool_begins(self.memory, tool, estimate_reference_id, now_s, shown_s)
 
     def count_from(self, output: OutputMemory, axes: tuple[str, ...]) -> None:
         """Take what the output counts from after a step."""

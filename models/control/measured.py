@@ -72,7 +72,8 @@ def probe_of_tool_inhibit(memory: OutputMemory, inputs: OutputInputs) -> Inhibit
         return None
     return Inhibit(
         code=InhibitCode.CONFIDENCE,
-        text=f"tool T{inputs.tool_number} was set with a sensor that was found wrong later",
+        text=f"tool T{inputs.tool_number} was set with a sensor that was found wrong later, or before a positioning at "
+        "which the estimate was in doubt",
         remedy="set the tool again, then probe",
     )
 

@@ -285,9 +285,9 @@ def tool_begins(
     tool: ToolOrigin,
     estimate_reference_id: str | None,
     now_s: float,
-    seen_s: Mapping[str, float] = EVER_SEEN,
+    shown_s: Mapping[str, float] = EVER_SEEN,
 ) -> ReferenceMemory:
-    """Let the expansion of the tool in the spindle count from now [s]; `seen_s`: when each label had its increment.
+    """Let the expansion of the tool in the spindle count from now [s]; `shown_s`: when each label had its increment.
 
     What an increment still holds of the step of a sensor's return fades out, and is no expansion of this tool.
     """
@@ -296,7 +296,7 @@ def tool_begins(
         return memory
     ours = estimate_reference_id == record.reference_id
     begin_degc = {
-        label: increment - _fading_k(record, label, seen_s.get(label, now_s))
+        label: increment - _fading_k(record, label, shown_s.get(label, now_s))
         for label, increment in tool.begin_degc.items()
     }
     tool = replace(tool, begin_degc=MappingProxyType(begin_degc))

@@ -278,7 +278,8 @@ async def test_a_restart_goes_on_as_if_it_had_never_been_away(tmp_path, model):
     await shop.end()
 
 
-async def test_a_sensor_that_was_excluded_stays_out_over_a_restart_and_a_reload_until_a_new_reference(tmp_path, model):
+async def with_a_sensor_excluded(tmp_path, model):
+    """A shop in whose history the watch has found the first sensor wrong, and the reference since which it is out."""
     shop = Shop(tmp_path, model)
     await shop.prepare()
     await shop.run(16.3 * 60)
@@ -288,6 +289,11 @@ async def test_a_sensor_that_was_excluded_stays_out_over_a_restart_and_a_reload_
     shop.degc[row + 1 :, 0] += np.minimum(np.arange(len(shop.degc) - row - 1) * 0.3, 6.0)
     await shop.run(40)
     assert shop.latest.imputed == (1,)
+    return shop, reference
+
+
+async def test_a_sensor_that_was_excluded_stays_out_over_a_restart_and_a_reload_until_a_new_reference(tmp_path, model):
+    shop, reference = await with_a_sensor_excluded(tmp_path, model)
     before, confidence = shop.latest.thermal_error_um.copy(), shop.latest.confidence
 
     await shop.history.flushed()
@@ -331,15 +337,7 @@ async def test_a_watch_alone_goes_on_from_the_history_after_a_restart(tmp_path, 
 
 
 async def test_what_a_watch_alone_has_excluded_stays_out_over_a_restart(tmp_path, watched_without_lags):
-    shop = Shop(tmp_path, watched_without_lags)
-    await shop.prepare()
-    await shop.run(16.3 * 60)
-    reference = await shop.refer()
-    await shop.run(10)
-    row = int(shop.minute)
-    shop.degc[row + 1 :, 0] += np.minimum(np.arange(len(shop.degc) - row - 1) * 0.3, 6.0)
-    await shop.run(40)
-    assert shop.latest.imputed == (1,)
+    shop, reference = await with_a_sensor_excluded(tmp_path, watched_without_lags)
     await shop.end()
 
     shop.begin()

@@ -20,7 +20,7 @@ class Taken:
     def __init__(self) -> None:
         self.tools: list[tuple[ToolOrigin, str | None]] = []
 
-    def tool_begins(self, tool: ToolOrigin, counted_from: str | None, _seen_s: dict[str, float]) -> None:
+    def tool_begins(self, tool: ToolOrigin, counted_from: str | None, _shown_s: dict[str, float]) -> None:
         self.tools.append((tool, counted_from))
 
     def tool_set_right(self, *_: object) -> None:
@@ -63,8 +63,8 @@ class Kept:
         self.memory = memory
         self.now_s = 0.0
 
-    def tool_begins(self, tool: ToolOrigin, counted_from: str | None, seen_s: Mapping[str, float]) -> None:
-        self.memory = reference.tool_begins(self.memory, tool, counted_from, self.now_s, seen_s)
+    def tool_begins(self, tool: ToolOrigin, counted_from: str | None, shown_s: Mapping[str, float]) -> None:
+        self.memory = reference.tool_begins(self.memory, tool, counted_from, self.now_s, shown_s)
 
     def tool_set_right(
         self, before: Mapping[str, tuple[float, float]], now_degc: Mapping[str, float], now_s: float

@@ -112,6 +112,8 @@ def test_a_tool_of_before_is_held_when_the_work_is_positioned_while_the_estimate
     assert machine.memory.state is OutputState.ACTIVE, "the tool in the spindle is set by the reference"
     assert machine.set(tool_number=1).step(2).memory.state is OutputState.HOLD
     assert "any number of um off" in machine.memory.reason
+    refused = probe_inhibit(machine.memory, machine.inputs(), LIMITS, None, np.array([np.nan, 1.0]))
+    assert "before a positioning at which the estimate was in doubt" in str(refused)
     assert tool_set(machine).memory.state is OutputState.ACTIVE
 
 
