@@ -175,10 +175,12 @@ class Database:
             tcp_user_timeout=answer_ms,
             keepalives_idle=max(1, round(config.timeout_s)),
             application_name=self._application,
-            options=f"-c statement_timeout={answer_ms} -c search_path={SCHEMA}",
             autocommit=True,
             **tls,
         )
+        # Not as `options` of the connection: a pooler (PgBouncer) leaves those out.
+        settings = "SELECT set_config('search_path', %s, false), set_config('statement_timeout', %s, false)"
+        connection.execute(settings, (SCHEMA, str(answer_ms)))
         return connection
 
     def _password(self) -> str | None:
