@@ -110,7 +110,7 @@ class Configuration(Section):
         taken = {*cnc.macros.block, *self.guard_memory}
         taken |= {cnc.temperature_macro.macro} if cnc.temperature_macro is not None else set()
         problems: list[tuple[KeyPath, str]] = []
-        for key, number in macros.model_dump().items():
+        for key, number in macros.model_dump(exclude_none=True).items():
             at: KeyPath = ("spindle_speed", "macros", key)
             if number in taken:
                 problems.append((at, f"#{number} belongs to the compensation, the guard or the temperature already"))

@@ -26,6 +26,12 @@ class SpeedMacrosConfig(Section):
         examples=[121],
     )
     enable: MacroNumber = Field(description="1: the pair counts; 0: the programmed one does", examples=[539])
+    check: MacroNumber | None = Field(
+        None,
+        description="a whole number made of all others that the daemon writes; the program makes it anew and takes "
+        "nothing where the two differ. Name one within `writable` that nothing else uses; without it no speed is tuned",
+        examples=[541],
+    )
     sequence_b: MacroNumber = Field(description="written last", examples=[540])
     calls: MacroNumber = Field(
         description="raised by the NC with each call of the speed program; negative while the call is being written",
@@ -59,19 +65,20 @@ class SpeedMacrosConfig(Section):
             self.feed,
             self.valid_until,
             self.enable,
+            *(() if self.check is None else (self.check,)),
             self.sequence_b,
         )
 
     @property
     def numbers(self) -> tuple[int, ...]:
         """All macros: ours first."""
-        return tuple(self.model_dump().values())
+        return tuple(self.model_dump(exclude_none=True).values())
 
     @model_validator(mode="after")
     def _distinct(self) -> "SpeedMacrosConfig":
         problems: list[tuple[KeyPath, str]] = []
         seen: dict[int, str] = {}
-        for key, number in self.model_dump().items():
+        for key, number in self.model_dump(exclude_none=True).items():
             if number in seen:
                 problems.append(((key,), f"#{number} is used twice: it is {seen[number]} already"))
             seen.setdefault(number, key)

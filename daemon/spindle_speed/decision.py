@@ -20,8 +20,8 @@ from models.spindle_speed.tuning import (
     step,
 )
 
-FEED_DIGITS = 7
-"""Feeds are written to this many significant digits, however small they are."""
+FEED_DECIMALS, FEED_DIGITS = 2, 7
+"""Feeds are whole hundredths [mm/min], as the check counts them; below 10 they have this many significant digits."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,9 +132,10 @@ class SpeedDecision:
             return DISABLED
         speed_rpm = float(round(command.speed_rpm))
         share = speed_rpm / command.speed_rpm if self._tuning.keep_feed_per_tooth else 1.0
+        feed = share * command.feed_mm_min
         return SpeedPair(
             made_for=operation.made_for,
             speed_rpm=speed_rpm,
-            feed_mm_min=float(f"{share * command.feed_mm_min:.{FEED_DIGITS}g}"),
+            feed_mm_min=round(feed, FEED_DECIMALS) if feed >= 10.0 else float(f"{feed:.{FEED_DIGITS}g}"),
             enable=True,
         )

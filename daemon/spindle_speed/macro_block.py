@@ -6,9 +6,38 @@ from dataclasses import dataclass
 
 from config.schema.spindle_speed import SpeedMacrosConfig
 from daemon.cnc.macro_block import LAST_SEQUENCE, begun_after, sequence_of, status_of
+from drivers.guard.check import PER_SECOND, whole
 
 MacroValues = Mapping[int, float | None]
 Groups = tuple[tuple[tuple[int, float], ...], ...]
+
+
+SPEED_PARTS = {
+    "valid_until": (1, PER_SECOND),
+    "for_tool": (2, 1),
+    "for_speed": (3, 10),
+    "for_feed": (2, 100),
+    "for_depth": (5, 1000),
+    "for_radial": (6, 1000),
+    "for_kind": (7, 1000),
+    "speed": (4, 10),
+    "feed": (3, 100),
+}
+"""What counts in the check of the speed's block: how often, and how many whole numbers a unit has."""
+
+
+def speed_check(macros: SpeedMacrosConfig, held: Mapping[int, float | None]) -> float:
+    """Return the check that fits what the macros of the spindle speed hold, as `block_check` does for the others.
+
+    With speeds and feeds up to 100000, depths and K up to 1000 and tools up to T99999 the sum stays below 1e8; no two
+    parts count alike, so that two values that are exchanged change it too.
+    """
+
+    def value(name: str) -> float:
+        return held.get(getattr(macros, name)) or 0.0
+
+    parts = (times * whole(value(name) * per_unit) for name, (times, per_unit) in SPEED_PARTS.items())
+    return value("sequence_b") + value("enable") + sum(parts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,7 +192,7 @@ class SpeedBlock:
         return -math.inf if valid_until_s is None else valid_until_s - clock_s
 
     def encode(self, pair: SpeedPair, *, after: int, valid_until_s: float) -> Groups:
-        """Return the groups to write, strictly one after another: sequence_a, content, sequence_b."""
+        """Return the groups to write, sequence_a, content with its check, sequence_b."""
         sequence = float(after % LAST_SEQUENCE + 1)
         made_for = pair.made_for
         values = (
@@ -174,13 +203,17 @@ class SpeedBlock:
             made_for.radial_mm,
             made_for.kind,
         )
+        tenths = math.floor(valid_until_s * PER_SECOND) if pair.enable else 0
         content = (
             *zip(self._made_for, values, strict=True),
             (self._map.speed, pair.speed_rpm),
             (self._map.feed, pair.feed_mm_min),
-            (self._map.valid_until, round(valid_until_s, 3) if pair.enable else 0.0),
+            (self._map.valid_until, tenths / PER_SECOND),
             (self._map.enable, float(pair.enable)),
         )
+        if self._map.check is not None:
+            held = {**dict(content), self._map.sequence_b: sequence}
+            content = (*content, (self._map.check, speed_check(self._map, held)))
         return ((self._map.sequence_a, sequence),), content, ((self._map.sequence_b, sequence),)
 
     def vacant(self, found: MacroValues) -> str:

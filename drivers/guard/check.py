@@ -37,14 +37,14 @@ def block_check(
         return held.get(number) or 0.0
 
     nm_per_unit = macros.unit_um * 1000.0
-    total = value(macros.sequence_b) + value(macros.enable) + _whole(value(macros.valid_until) * PER_SECOND)
+    total = value(macros.sequence_b) + value(macros.enable) + whole(value(macros.valid_until) * PER_SECOND)
     for place, axis in enumerate(axes, start=1):
-        total += place * _whole(value(macros.values[axis]) * nm_per_unit)
+        total += place * whole(value(macros.values[axis]) * nm_per_unit)
         if pivots_mm and axis in pivots_mm:
             total += pivot_check(place, pivots_mm[axis])
     return total
 
 
-def _whole(value: float) -> float:
+def whole(value: float) -> float:
     """Return the nearest whole number, halves away from 0, as ROUND does."""
     return math.copysign(math.floor(abs(value) + 0.5), value)

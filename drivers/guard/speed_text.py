@@ -10,7 +10,13 @@ from config.schema.guard import PROGRAMS
 from config.schema.spindle_speed import SpindleSpeedConfig
 from drivers.guard.text import LONGEST_LINE, RETRIES, RETRY_MS, GuardPrograms, GuardTextError, decimal, filled
 
-SPEED_PROGRAM_VERSION = 3
+SPEED_PROGRAM_VERSION = 4
+SPEED_CHECK_MISSING = (
+    "spindle_speed.macros.check names no variable, so the speed program cannot recognise a foreign value in its block, "
+    "and no speed is tuned: name one within `cnc.macros.writable` that nothing else uses, and load the text that "
+    "`toolpoint guard --speed` prints"
+)
+"""What is wrong with `spindle_speed.macros.check` where it is not given."""
 TEXT_NUMBERS = 1_000_000
 """The text is identified by a number below this, which the program reports with every call."""
 ROUNDING_RPM = 0.5
@@ -36,6 +42,8 @@ class SpeedStatus(IntEnum):
     """valid_until is vacant, has passed, or lies further ahead than the limit."""
     OUT_OF_BOUNDS = 6
     """The pair is vacant, outside the limits, or its feed does not belong to its speed."""
+    CHECK = 7
+    """The check does not fit what the block holds: one of its macros was written by another program."""
 
 
 def speed_program(configuration: Configuration) -> str:
@@ -47,6 +55,8 @@ def speed_program(configuration: Configuration) -> str:
         raise GuardTextError(
             "spindle_speed: there is no speed program for LinuxCNC, only for FANUC and SINUMERIK; leave the section out"
         )
+    if tuning.macros.check is None:
+        raise GuardTextError(SPEED_CHECK_MISSING)
     is_sinumerik = guard.dialect == "sinumerik"
     last = guard.program + PROGRAMS - (0 if is_sinumerik else 1)
     if guard.program <= tuning.program <= last:

@@ -10,6 +10,7 @@ from control_rig import running
 from speed_machine import MACROS, speed_machine
 from speed_rig import CUT, SAFE, SpeedRig
 
+from daemon.cnc.commissionable import without_text
 from daemon.cnc.write_ahead import WriteAheadRecord
 from daemon.spindle_speed.macro_block import DISABLED, OperationKey, SpeedBlock, SpeedPair
 from daemon.spindle_speed.writer import SpeedWriteError, SpeedWriter
@@ -154,6 +155,31 @@ async def test_switching_the_control_off_and_on_expires_the_pair_and_is_no_fault
     assert bench.rig.control.journal.fault is None
     assert bench.call()[::2] == (speed_rpm, APPLIED)
     assert (await bench.operation())[2] is APPLIED
+
+
+async def test_the_feed_that_is_written_is_what_the_check_counts_exactly(bench: SpeedRig) -> None:
+    for feed_mm_min in (1841.333, 0.4567):
+        speed_rpm, feed, status = await bench.operation(F=feed_mm_min)
+        await bench.pass_by(3.0, CUT)
+        assert status is APPLIED and speed_rpm != 9000.0
+        assert feed == pytest.approx(feed_mm_min * speed_rpm / 9000.0, rel=1e-5)
+    assert all(value == round(value, 2) for number, value in bench.nc.written if number == MACROS.feed and value > 10.0)
+
+
+async def test_without_a_check_no_speed_is_tuned_and_status_says_why(tmp_path: Path) -> None:
+    bench = SpeedRig(tmp_path)
+    tuning = bench.configuration.spindle_speed
+    assert tuning is not None
+    unchecked = tuning.model_copy(update={"macros": MACROS.model_copy(update={"check": None})})
+    bench.configuration = bench.configuration.model_copy(update={"spindle_speed": unchecked})
+    async with running(bench.new_rig()):
+        await bench.rig.turn()
+        await bench.operation()
+        await bench.pass_by(30.0, CUT)
+        assert (await bench.operation())[:2] == PROGRAMMED
+        assert "spindle_speed.macros.check names no variable" in bench.picture()["alarm"]
+        assert bench.rig.control.journal.fault is None
+    assert "spindle_speed.macros.check names no variable" in without_text(bench.configuration)
 
 
 # --- the bounds of the writer --------------------------------------------------------------

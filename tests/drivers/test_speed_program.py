@@ -12,7 +12,15 @@ from speed_machine import MACROS, speed_machine
 from config.machines import shipped_file
 from config.schema import Configuration
 from daemon.cli import main
-from daemon.spindle_speed.macro_block import DISABLED, NOTHING, OperationKey, SpeedBlock, SpeedCall, SpeedPair
+from daemon.spindle_speed.macro_block import (
+    DISABLED,
+    NOTHING,
+    OperationKey,
+    SpeedBlock,
+    SpeedCall,
+    SpeedPair,
+    speed_check,
+)
 from drivers.guard.programs import guard_program
 from drivers.guard.speed_text import SpeedStatus, speed_program, speed_text_number
 from drivers.guard.text import GuardTextError
@@ -256,6 +264,67 @@ def test_vacant_torn_and_cleared_macros_are_the_programmed_pair(bench: SpeedBenc
         bench.write(PAIR)
         bench.macros.set(number, None)
         assert bench.call()[:2] == PROGRAMMED
+
+
+ONE_FOREIGN = [
+    ("speed", 9410.0, {}),
+    ("speed", 9399.0, {}),
+    ("feed", 1885.0, {}),
+    ("valid_until", CLOCK_S + 100.0, {}),
+    ("for_tool", 2.0, {"tool": 2.0}),
+    ("for_speed", 9001.0, {"S": 9001.0}),
+    ("for_feed", 1810.0, {"F": 1810.0}),
+    ("for_depth", 8.0, {"D": 8.0}),
+    ("for_radial", 9.0, {"E": 9.0}),
+    ("for_kind", 2.0, {"K": 2.0}),
+    ("check", 1.0, {}),
+    ("check", None, {}),
+]
+
+
+@pytest.mark.parametrize("name,value,call", ONE_FOREIGN, ids=[f"{name} {value}" for name, value, _ in ONE_FOREIGN])
+def test_one_foreign_value_anywhere_in_the_speed_s_block_and_the_programmed_pair_is_taken(
+    bench: SpeedBench, name: str, value: float | None, call: dict[str, float]
+) -> None:
+    bench.write(PAIR)
+    bench.macros.set(getattr(MACROS, name), value)
+    arguments = dict(call)
+    bench.control.tool_number = round(arguments.pop("tool", 1.0))
+    programmed = (arguments.get("S", 9000.0), arguments.get("F", 1800.0))
+    assert bench.call(**arguments) == (*programmed, SpeedStatus.CHECK)
+    bench.write(PAIR)
+    bench.control.tool_number = 1
+    assert bench.call() == (9400.0, 1880.0, SpeedStatus.APPLIED)
+
+
+@pytest.mark.parametrize("disabled", [DISABLED, replace(PAIR, enable=False)])
+def test_a_foreign_enable_bit_switches_no_pair_on(bench: SpeedBench, disabled: SpeedPair) -> None:
+    bench.write(disabled)
+    bench.macros.set(MACROS.enable, 1.0)
+    assert bench.call()[:2] == PROGRAMMED
+
+
+def test_two_exchanged_values_of_the_speed_s_block_do_not_fit_the_check() -> None:
+    block = SpeedBlock(MACROS)
+    held = dict(each for group in block.encode(PAIR, after=5, valid_until_s=CLOCK_S) for each in group)
+    numbers = [number for number in MACROS.ours if number not in (MACROS.check, MACROS.sequence_a, MACROS.sequence_b)]
+    pairs = [(a, b) for a in numbers for b in numbers if a < b and held[a] != held[b]]
+    assert len(pairs) > 40
+    for a, b in pairs:
+        assert speed_check(MACROS, held | {a: held[b], b: held[a]}) != held[MACROS.check]
+
+
+def test_the_check_of_the_largest_block_fits_into_eight_digits() -> None:
+    largest = replace(OPERATION, tool_number=99_999.0, speed_rpm=1e5, feed_mm_min=1e5, depth_mm=1e3, radial_mm=1e3)
+    pair = SpeedPair(made_for=replace(largest, kind=1e3), speed_rpm=1e5, feed_mm_min=1e5, enable=True)
+    groups = SpeedBlock(MACROS).encode(pair, after=999_998, valid_until_s=2**31 / 1000.0)
+    assert dict(each for group in groups for each in group)[MACROS.check] < 1e8
+
+
+def test_without_a_variable_for_the_check_there_is_no_text(kind: type[SpeedBench], tmp_path: Path) -> None:
+    unchecked = MACROS.model_copy(update={"check": None})
+    with pytest.raises(GuardTextError, match=r"spindle_speed\.macros\.check names no variable"):
+        speed_program(in_dialect(speed_machine(tmp_path, macros=unchecked), kind.dialect))
 
 
 def test_a_plain_feed_must_be_the_programmed_one(kind: type[SpeedBench], tmp_path: Path) -> None:

@@ -35,6 +35,7 @@ MACROS = SpeedMacrosConfig(
     feed=538,
     valid_until=121,
     enable=539,
+    check=541,
     sequence_b=540,
     calls=550,
     called_tool=551,
@@ -106,7 +107,7 @@ def speed_machine(folder: Path, **changes: Any) -> Configuration:
     }
     base = machine(folder)
     own = {"allow_writable_model_directory": True}  # everything here belongs to whoever tests
-    macros = base.cnc.macros.model_copy(update={"writable": [*base.cnc.macros.writable, "121", "530-540"]})
+    macros = base.cnc.macros.model_copy(update={"writable": [*base.cnc.macros.writable, "121", "530-541"]})
     document = base.model_copy(
         update={
             "cnc": base.cnc.model_copy(update={"macros": macros}),
