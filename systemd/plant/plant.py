@@ -2,9 +2,9 @@
 
 python systemd/plant/plant.py [--way compose|packages] [--machines 10] [--hours 8] [--folder .plant]
 
-With Docker the servers come from compose.yaml beside this file. Without, Debian's packages `postgresql` and `mosquitto`
-are started as processes of this command, and Grafana where `grafana` is installed. Ctrl-C ends everything; what was
-stored stays in the folder, or in the volumes of compose.
+With Docker and its compose the servers come from compose.yaml beside this file. Without, Debian's packages
+`postgresql` and `mosquitto` are started as processes of this command, and Grafana where `grafana` is installed. Ctrl-C
+ends everything; what was stored stays in the folder, or in the volumes of compose.
 """
 
 import argparse
@@ -33,9 +33,14 @@ PROGRAMS = [
     *sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True),
     Path("/usr/share/grafana/bin"),
 ]
+PROJECT = "toolpoint-plant"
 PATIENCE_S = 120.0
 FASTEST = 480.0
 """Simulated seconds per second while the hours before now are filled."""
+NO_COMPOSE = (
+    "`docker info`, or `docker compose version` (`docker-compose version`), does not work here: install and start "
+    "Docker with its compose plugin, let this user reach it, or leave --way out"
+)
 NO_GRAFANA = (
     "Grafana is not installed; it is no package of Debian: install `grafana` from its maker's package repository, or "
     "Docker, and start this again. The histories go to the database all the same."
@@ -47,19 +52,28 @@ def program(name: str) -> str | None:
     return shutil.which(name, path=os.pathsep.join([os.environ.get("PATH", ""), *map(str, PROGRAMS)]))
 
 
+def _works(*words: str) -> bool:
+    try:
+        return subprocess.run(words, capture_output=True, check=False).returncode == 0
+    except FileNotFoundError:
+        return False
+
+
 def compose() -> list[str] | None:
-    """Return the words before those of `docker compose`; None where it does not work."""
-    if (docker := shutil.which("docker")) is None:
+    """Return the words before those of `docker compose`; None where it, or Docker's engine, does not work."""
+    if not _works("docker", "info"):
         return None
-    words = [docker, "compose", "--file", str(HERE / "compose.yaml")]
-    done = subprocess.run([docker, "compose", "version"], capture_output=True, check=False)
-    return words if done.returncode == 0 else None
+    for words in (["docker", "compose"], ["docker-compose"]):
+        if _works(*words, "version"):
+            return [*words, "--project-name", PROJECT, "--file", str(HERE / "compose.yaml")]
+    return None
 
 
 @contextlib.contextmanager
 def by_compose(words: Sequence[str]) -> Iterator[bool]:
     """Run the servers from their images."""
-    subprocess.run([*words, "up", "--detach"], check=True)
+    if subprocess.run([*words, "up", "--detach"], check=False).returncode != 0:
+        sys.exit("the servers did not start: compose says above why; ports are set by TOOLPOINT_..._PORT")
     try:
         yield True
     finally:
@@ -113,8 +127,10 @@ def _database(folder: Path) -> Iterator[None]:
         if user is not None:
             os.chown(secret, pwd.getpwnam(user).pw_uid, -1)
         words = ["--username=toolpoint", "--auth=scram-sha-256", f"--pwfile={secret}", "--encoding=UTF8", "--locale=C"]
-        subprocess.run([str(program("initdb")), "--pgdata", str(data), *words], user=user, check=True, cwd=folder)
+        done = subprocess.run([str(program("initdb")), "--pgdata", str(data), *words], user=user, check=False, cwd="/")
         secret.unlink()
+        if done.returncode != 0:
+            sys.exit(f"the database was not made: see above; its user must be able to enter --folder {folder.parent}")
     words = [str(program("postgres")), "-D", str(data), "-p", str(DATABASE_PORT)]
     settings = ("listen_addresses=127.0.0.1", f"unix_socket_directories={folder}", "max_connections=300")
     with _running([*words, *(word for each in settings for word in ("-c", each))], folder / "log", user):
@@ -129,9 +145,9 @@ def _broker(folder: Path) -> Iterator[None]:
     """The broker of the compose file, with its place on this computer."""
     user = "mosquitto" if os.geteuid() == 0 else None
     _owned(folder, user)
-    lines = (HERE / "mosquitto.conf").read_text("utf-8").replace("listener 1883", f"listener {BROKER_PORT} 127.0.0.1")
+    text = (HERE / "mosquitto.conf").read_text("utf-8").replace("listener 1883", f"listener {BROKER_PORT} 127.0.0.1")
     config = folder / "mosquitto.conf"
-    config.write_text(f"{lines}persistence_location {folder}/\n", encoding="utf-8")
+    config.write_text(text.replace("/mosquitto/data/", f"{folder}/"), encoding="utf-8")
     with _running([str(program("mosquitto")), "-c", str(config)], folder / "log"):
         yield
 
@@ -210,7 +226,7 @@ def main() -> None:
     given = parser.parse_args()
     words = compose() if given.way != "packages" else None
     if words is None and given.way == "compose":
-        sys.exit("`docker compose` does not work here: install Docker with its compose plugin, or leave --way out")
+        sys.exit(NO_COMPOSE)
     if words is None and (taken := [p for p in (DATABASE_PORT, BROKER_PORT) if not port_is_free(p)]):
         sys.exit(f"port {taken[0]} is taken: set TOOLPOINT_DATABASE_PORT or TOOLPOINT_BROKER_PORT to a free one")
     with by_compose(words) if words else by_packages(given.folder.resolve()) as grafana:

@@ -3,16 +3,19 @@
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import history_records as make
 import numpy as np
+import psycopg
 import pytest
 import yaml
 from history_records import FULL, StillClock
@@ -81,25 +84,35 @@ def filled(server: Server, tmp_path_factory: pytest.TempPathFactory) -> Server:
 
 
 def expanded(query: str) -> str:
-    """Return a query as Grafana sends it: macros and variables replaced."""
-    start, end = "now() - interval '8 hours'", "now()"
+    """Return a query as Grafana's macros and variables make it; the step of the charts is a minute."""
+    start, end = (f"'{datetime.now(UTC) + timedelta(hours=hours):%Y-%m-%dT%H:%M:%S.%fZ}'" for hours in (-8.0, 0.01))
     query = re.sub(r"\$__timeFilter\((\w+)\)", rf"\1 BETWEEN {start} AND {end}", query)
-    query = re.sub(r"\$__timeGroup\((\w+), \$__interval\)", r"floor(extract(epoch FROM \1) / 60) * 60", query)
+    query = re.sub(r"\$__timeGroup\((\w+), \$__interval\)", r"floor(extract(epoch from \1)/60)*60", query)
     query = query.replace("$__timeTo()", end).replace("$__timeFrom()", start)
-    names = {"$machine": ", ".join(f"'{name}'" for name in MACHINES), "$channel": "d1", "$label": "'A', 'Room'"}
+    names = {"$machine": ",".join(f"'{name}'" for name in MACHINES), "$channel": "d1", "$label": "'A','Room'"}
     for name, value in names.items():
         query = query.replace(name, value)
     assert "$" not in query, query
     return query
 
 
-@pytest.mark.parametrize("panel", DASHBOARD["panels"], ids=lambda panel: panel["title"])
-def test_every_panel_shows_rows_of_both_machines(filled: Server, panel: dict) -> None:
-    (target,) = panel["targets"]
+@pytest.fixture(scope="module")
+def reader(filled: Server) -> Iterator[psycopg.Connection]:
+    """Grafana's connection, by the role that the guide makes."""
+    guide = (FOLDER.parents[1] / "docs/how-to/run-a-plant.md").read_text("utf-8")
+    (made,) = (block for block in re.findall(r"```sql\n(.*?)```", guide, re.DOTALL) if "ROLE grafana" in block)
     with filled.connection() as connection:
-        found = connection.execute(expanded(target["rawSql"]))
-        names = [column.name for column in found.description]
-        rows = found.fetchall()
+        connection.execute(made)
+    with filled.connection(user="grafana", password="choose one") as connection:
+        yield connection
+
+
+@pytest.mark.parametrize("panel", DASHBOARD["panels"], ids=lambda panel: panel["title"])
+def test_every_panel_shows_rows_of_both_machines(reader: psycopg.Connection, panel: dict) -> None:
+    (target,) = panel["targets"]
+    found = reader.execute(expanded(target["rawSql"]))
+    names = [column.name for column in found.description]
+    rows = found.fetchall()
     if target["format"] == "time_series":
         assert names == ["time", "metric", "value"]
     shown = {str(row[names.index("machine" if "machine" in names else "metric")]) for row in rows}
@@ -117,8 +130,73 @@ def test_a_month_of_a_model_is_what_accepted_probes_found_under_it(filled: Serve
 
 
 @pytest.mark.parametrize("variable", DASHBOARD["templating"]["list"], ids=lambda variable: variable["name"])
-def test_every_variable_has_values(filled: Server, variable: dict) -> None:
-    assert len(filled.ask(variable["query"])) >= 2
+def test_every_variable_has_values(reader: psycopg.Connection, variable: dict) -> None:
+    assert len(reader.execute(variable["query"]).fetchall()) >= 2
+
+
+def test_who_reads_the_dashboards_can_change_nothing(reader: psycopg.Connection) -> None:
+    with pytest.raises(psycopg.errors.InsufficientPrivilege):
+        reader.execute("DELETE FROM toolpoint.deliveries")
+
+
+# --- the compose file ----------------------------------------------------------------------
+
+COMPOSES = {"plugin": ["docker", "compose"], "package": ["docker-compose"]}
+
+
+@pytest.fixture(params=COMPOSES)
+def compose(request: pytest.FixtureRequest) -> list[str]:
+    words = COMPOSES[request.param]
+    there = shutil.which(words[0]) and subprocess.run([*words, "version"], capture_output=True, check=False)
+    if not there or there.returncode != 0:
+        pytest.skip(f"`{' '.join(words)}` is not installed (apt-get install docker-compose)")
+    return words
+
+
+def test_compose_takes_the_file_with_its_ports_and_passwords(compose: list[str]) -> None:
+    chosen = {f"TOOLPOINT_{name}_PORT": str(40000 + at) for at, name in enumerate(("DATABASE", "BROKER", "GRAFANA"))}
+    chosen |= {"TOOLPOINT_PASSWORD": "one", "TOOLPOINT_GRAFANA_PASSWORD": "two"}
+    done = subprocess.run(
+        [*compose, "--file", str(FOLDER / "compose.yaml"), "config"],
+        env=os.environ | chosen,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    services = yaml.safe_load(done.stdout)["services"]
+    assert set(services) == {"database", "broker", "grafana"}
+    for port in (40000, 40001, 40002):
+        assert done.stdout.count(str(port)) == 1, done.stdout
+    assert services["database"]["environment"]["POSTGRES_PASSWORD"] == "one"
+    assert services["grafana"]["environment"]["TOOLPOINT_GRAFANA_PASSWORD"] == "two"
+    assert services["grafana"]["depends_on"]["database"]["condition"] == "service_healthy"
+
+
+def test_what_the_containers_name_lies_in_their_volumes() -> None:
+    """The files that are mounted are there; what must last lies in a volume, at the place that the image writes to."""
+    services = yaml.safe_load((FOLDER / "compose.yaml").read_text("utf-8"))["services"]
+    mounted = {name: [each.split(":") for each in service["volumes"]] for name, service in services.items()}
+    for name, mounts in mounted.items():
+        assert all((FOLDER / source).exists() for source, *_ in mounts if source.startswith(".")), name
+    (kept,) = (target for source, target, *_ in mounted["broker"] if source == "broker")
+    assert f"persistence_location {kept}/\n" in (FOLDER / "mosquitto.conf").read_text("utf-8")
+    dashboards = services["grafana"]["environment"]["TOOLPOINT_DASHBOARDS"]
+    assert [source for source, target, *_ in mounted["grafana"] if target == dashboards] == ["./grafana/dashboards"]
+    home = Path(services["grafana"]["environment"]["GF_DASHBOARDS_DEFAULT_HOME_DASHBOARD_PATH"])
+    assert home.parent == Path(dashboards) and (FOLDER / "grafana/dashboards" / home.name).exists()
+
+
+def test_docker_without_an_engine_is_no_docker() -> None:
+    """What was asked for is refused in words; left out, the packages are taken (`test_the_box_runs_...`)."""
+    done = subprocess.run(
+        [sys.executable, str(FOLDER / "plant.py"), "--way", "compose"],
+        env=os.environ | {"DOCKER_HOST": "unix:///nowhere/docker.sock"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1 and done.stderr.startswith("`docker info`") and "Traceback" not in done.stderr
 
 
 def test_grafana_gets_every_variable_that_its_files_name() -> None:
@@ -140,10 +218,10 @@ def test_the_box_runs_from_debians_packages(tmp_path: Path) -> None:
     with tempfile.TemporaryDirectory(prefix="plant-") as folder:  # not in pytest's, which the database cannot enter
         Path(folder).chmod(0o755)
         ports = {f"TOOLPOINT_{name}_PORT": str(free_port()) for name in ("DATABASE", "BROKER", "GRAFANA")}
-        words = ["--way", "packages", "--machines", "1", "--hours", "0.05", "--live-minutes", "0", "--folder", folder]
+        words = ["--machines", "1", "--hours", "0.05", "--live-minutes", "0", "--folder", folder]
         done = subprocess.run(
             [sys.executable, str(FOLDER / "plant.py"), *words],
-            env=os.environ | ports,
+            env=os.environ | ports | {"DOCKER_HOST": "unix:///nowhere/docker.sock"},
             capture_output=True,
             text=True,
             check=False,
@@ -155,3 +233,4 @@ def test_the_box_runs_from_debians_packages(tmp_path: Path) -> None:
         )
         log = (Path(folder) / "broker/log").read_text("utf-8")
         assert "running" in log and "Error" not in log
+        assert (Path(folder) / "broker/mosquitto.db").exists(), "what waits in the broker outlives it"
