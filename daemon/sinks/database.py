@@ -206,6 +206,7 @@ class Database:
         known = scripts()
         if version > known[-1][0]:
             raise SinkError(f"{self._where}: {newer_schema(version, known[-1][0])}")
+        connection.execute("SET LOCAL statement_timeout = 0")  # a table of years takes longer than an answer may
         for number, script in known:
             if number > version:
                 if number > 1:

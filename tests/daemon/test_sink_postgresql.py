@@ -358,6 +358,20 @@ def test_a_database_of_an_earlier_version_is_brought_up_to_date_and_keeps_its_ro
     assert [row[0] for row in found] == ["mill 6", MACHINE] and found[0][1:] == (1, 0) and found[1][1] > 1
 
 
+def test_a_change_of_the_schema_may_take_longer_than_an_answer(
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As an index on a table of years does."""
+    section_of_it = section(server, tmp_path, timeout_s=0.1).postgresql
+    assert section_of_it is not None
+    slow = (scripts()[-1][0] + 1, "SELECT pg_sleep(1)")
+    monkeypatch.setattr("daemon.sinks.database.scripts", lambda: [*scripts(), slow])
+    with contextlib.closing(Database(section_of_it, "database", "slow")) as database:
+        database.open()
+        with pytest.raises(psycopg.errors.QueryCanceled):
+            database.connection.execute("SELECT pg_sleep(1)")
+
+
 def test_a_newer_schema_is_refused_and_left_alone(server: Server, tmp_path: Path) -> None:
     store = tmp_path / "h.sqlite"
     fill(store, hours=0.1)
@@ -366,7 +380,7 @@ def test_a_newer_schema_is_refused_and_left_alone(server: Server, tmp_path: Path
     before = counts(server)
     fill(store, start_s=EPOCH_S + 7200.0, hours=0.5)
     cursor = send(server, tmp_path, store)
-    assert "version 99, this version of toolpoint knows up to 3" in cursor.problem
+    assert "version 99, this version of toolpoint knows up to 4" in cursor.problem
     assert counts(server) == before
 
 

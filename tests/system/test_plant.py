@@ -134,6 +134,29 @@ def test_every_variable_has_values(reader: psycopg.Connection, variable: dict) -
     assert len(reader.execute(variable["query"]).fetchall()) >= 2
 
 
+def _scans(node: dict) -> Iterator[dict]:
+    if "Relation Name" in node:
+        yield node
+    for below in node.get("Plans", ()):
+        yield from _scans(below)
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        *(each["query"] for each in DASHBOARD["templating"]["list"]),
+        *(each["targets"][0]["rawSql"] for each in DASHBOARD["panels"] if each["title"] == "Fleet now"),
+    ],
+)
+def test_what_is_newest_is_looked_up_and_not_looked_for(reader: psycopg.Connection, query: str) -> None:
+    """Grafana asks every ten seconds, of a hundred machines and their years."""
+    reader.execute("SET enable_seqscan = off")  # which is quicker for the few rows here
+    ((found,),) = reader.execute(f"EXPLAIN (FORMAT JSON) {expanded(query)}").fetchall()
+    of_rows = [each for each in _scans(found[0]["Plan"]) if each["Relation Name"] != "deliveries"]
+    assert all("Index Cond" in each for each in of_rows), of_rows
+    assert "time DESC" not in json.dumps(found), "sorted, not looked up"
+
+
 def test_who_reads_the_dashboards_can_change_nothing(reader: psycopg.Connection) -> None:
     with pytest.raises(psycopg.errors.InsufficientPrivilege):
         reader.execute("DELETE FROM toolpoint.deliveries")
