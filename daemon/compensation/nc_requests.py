@@ -1,6 +1,6 @@
 """Serves the requests of the NC program, and answers when what was asked for is done."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from daemon.cnc.events import Journal
@@ -9,7 +9,7 @@ from daemon.compensation.handshake import Handshake
 from daemon.compensation.references import References, new_id
 from drivers.contract import FatalDriverError
 from models.control.nc_request import NcRequest, Refusal, RequestKind
-from models.control.state import OutputMemory
+from models.control.state import OutputInputs, OutputMemory
 from models.records import WriteOutcome
 
 HANDSHAKE_CAUSE = "handshake"
@@ -42,6 +42,9 @@ class NcOutput(Protocol):
 
     def take_probe(self, axis: str, deviation_um: float) -> str:
         """Let a probe value correct the estimate, or return why not."""
+
+    def given_up(self, memory: OutputMemory, inputs: OutputInputs) -> str:
+        """Give up what waits for a step that cannot count it; return why."""
 
 
 class RequestDesk:
@@ -89,6 +92,13 @@ class RequestDesk:
         """What was asked for did not take effect."""
         if self._pending is not None and self._pending.reference_id is None and not self._pending.refusal:
             self._pending.refusal = why
+
+    def judged(self, memory: OutputMemory, inputs: OutputInputs) -> OutputInputs:
+        """Return the inputs of a step without what was measured before and cannot be counted in it."""
+        if not (lost := self._output.given_up(memory, inputs)):
+            return inputs
+        self.fail(lost)
+        return replace(inputs, tool_setting=None, probe_um=None)
 
     async def answer(self, session: CncSession, memory: OutputMemory) -> None:
         """Write the answer as soon as what was asked for is done, or refused; one that does not arrive is a FAULT.

@@ -60,13 +60,9 @@ class MeasuredByNc:
 
     def set_tool(self, axis: str) -> str:
         """Make what is applied the baseline of the tool in the spindle; return why it is refused."""
-        output, reference = self._look(), self._references.current
-        if output.memory is None or reference is None:
-            return "a tool setting counts from the work's reference, and there is none: position the work first"
-        if output.estimate is None or output.estimate.reference_id != reference.reference_id:
-            return "there is no estimate since the work's reference yet; set the tool again after the next cycle"
-        if refusal := _tool_setting_inhibit(output, self._limits):
-            return str(refusal)
+        output = self._look()
+        if refusal := _tool_setting_refusal(output.memory, output.inputs, self._limits):
+            return refusal
         self.tool_setting = tuple(name == axis for name in self._limits.axes)
         return ""
 
@@ -95,6 +91,23 @@ class MeasuredByNc:
     def waiting(self) -> bool:
         """Something was taken that the next step counts."""
         return self.tool_setting is not None or self._probe is not None
+
+    def given_up(self, memory: OutputMemory, inputs: OutputInputs) -> str:
+        """Give up what was taken before when this step's estimate or reference is none to count it from; return why."""
+        reached = inputs.link and bool(np.all(np.isfinite(inputs.applied_um)))
+        if not self.waiting or not reached or inputs.output_fault is not None:
+            return ""
+        if (probe := self._probe) is not None:
+            axis, deviation_um = probe.axis, probe.deviation_um
+            now, _ = judged_probe(memory, inputs, self._limits, axis=axis, deviation_um=deviation_um, now=probe.time)
+            if not now.accepted:
+                self._history.probe(now)
+            lost = now.reason
+        else:
+            lost = _tool_setting_refusal(memory, inputs, self._limits)
+        if lost:
+            self.tool_setting = self.probe_um = self._probe = None
+        return lost
 
     def settle(self, inputs: OutputInputs, memory: OutputMemory) -> str:
         """See after the write of a step if it took effect; return why not, '' when it did or nothing was taken."""
@@ -145,9 +158,12 @@ def judged_probe(
     return sample, deviations
 
 
-def _tool_setting_inhibit(output: OutputNow, limits: OutputLimits) -> Inhibit | None:
-    """Return why the estimate is not one to count a tool from; who may write to the CNC has no part in that."""
-    assert output.memory is not None
-    own = tuple(inhibit for inhibit in output.inputs.inhibits if inhibit.code is InhibitCode.MODEL)
-    inputs = replace(output.inputs, inhibits=own)
-    return tool_setting_inhibit(output.memory, inputs, limits, first_inhibit(output.memory, inputs, limits))
+def _tool_setting_refusal(memory: OutputMemory | None, inputs: OutputInputs, limits: OutputLimits) -> str:
+    """Return why no tool can be set now, '' when it can; who may write to the CNC has no part in that."""
+    if memory is None or inputs.reference_id is None:
+        return "a tool setting counts from the work's reference, and there is none: position the work first"
+    if inputs.estimate_reference_id != inputs.reference_id:
+        return "there is no estimate since the work's reference yet; set the tool again after the next cycle"
+    own = tuple(inhibit for inhibit in inputs.inhibits if inhibit.code is InhibitCode.MODEL)
+    inputs = replace(inputs, inhibits=own)
+    return str(tool_setting_inhibit(memory, inputs, limits, first_inhibit(memory, inputs, limits)) or "")

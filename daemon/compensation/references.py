@@ -123,6 +123,11 @@ class References:
         """The thermal task cannot set a reference that was asked for."""
         self._step(reference.refuse(self.memory, identity, why))
 
+    def has_refused(self, identity: str | None) -> bool:
+        """Whether this is the reference that was refused last: nothing that counts from it is followed."""
+        refused, why = self.memory.outcome
+        return bool(why) and identity == refused
+
     def withdraw(self, identity: str) -> None:
         """The reference is no longer waited for."""
         self.memory = reference.withdraw(self.memory, identity)

@@ -187,10 +187,10 @@ class ControlTask:
 
     def _take(self, message: Message) -> None:
         match message:
-            case EstimateComing():
-                pass
-            case ThermalErrorEstimate():
+            case ThermalErrorEstimate() if not self._references.has_refused(message.reference_id):
                 self._estimate = self._fresh = message
+            case EstimateComing() | ThermalErrorEstimate():
+                pass
             case MachineTemperatures():
                 for client in self._parts.macro_clients:
                     client.on_temperatures(message)
@@ -241,7 +241,7 @@ class ControlTask:
         if self.memory is None:
             return
         before, session = self.memory, self.session
-        inputs = self._inputs(self.requests.take())
+        inputs = self._desk.judged(before, self._inputs(self.requests.take()))
         self.memory, self.command = step(before, inputs, self.limits)
         self._record(before, self.memory, inputs)
         await self.writer.write_and_settle(session, self.command, estimate, partial(self._settle, before, inputs))

@@ -287,7 +287,8 @@ def _offset_now(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits
     probed, now_min = memory.probed, inputs.now_s / 60.0
     if probed is None or inputs.probe_wander is None or not (memory.offset_um.any() or not probed.follows.all()):
         return memory
-    if now_min - probed.time_min < ADVANCED_MIN or memory.reference_id is None:
+    ours = memory.reference_id is not None and inputs.estimate_reference_id == memory.reference_id
+    if now_min - probed.time_min < ADVANCED_MIN or not ours:
         return memory
     probed = replace(probed, bias_um=-memory.offset_um)
     probed = _bias_filter(inputs.probe_wander, limits).advanced(probed, now_min, _weighed_um(memory, inputs))

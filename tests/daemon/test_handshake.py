@@ -380,3 +380,55 @@ async def test_a_reference_that_comes_after_its_work_offset_was_left_is_refused(
     bench.nc.work_offset = 55
     await rig.turn()
     assert rig.control.reference is None
+
+
+async def test_a_reference_by_hand_that_is_refused_while_a_probe_waits_for_its_step_has_no_part_in_it(tmp_path):
+    """The thermal task has begun to count from it before it hears of the refusal."""
+    bench = requesting_bench(tmp_path)
+    reference = bench.configuration.compensation.reference.model_copy(
+        update={"policy": "zero_first", "retreat_sequence_numbers": [50]}
+    )
+    compensation = bench.configuration.compensation.model_copy(update={"reference": reference})
+    bench.configuration = bench.configuration.model_copy(update={"compensation": compensation})
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        await rig.follow(0.0, -8.0, 40)
+        ask(bench, 1, PROBE, Z_AXIS, 0.003)
+        await rig.control._guarded(rig.control._poll())
+        rig.set_reference("by hand", positioning=False)
+        await rig.turn(rig.estimate(0.0, 0.0, reference_id="by hand"))
+        assert rig.state == "ACTIVE" and rig.control.reference.reference_id == "r1"
+        await rig.follow(0.0, -8.0, 40)
+        assert answer(bench) == 1.0
+        assert rig.applied["z"] == pytest.approx(5.0, abs=0.11)
+
+
+@pytest.mark.parametrize("kind", [PROBE, REFERENCE])
+async def test_what_was_measured_before_the_work_was_positioned_anew_moves_nothing_after_it(rig, bench, kind):
+    await rig.active()
+    await rig.follow(0.0, -8.0, 40)
+    ask(bench, 1, kind, Z_AXIS, 0.003)
+    await rig.control._guarded(rig.control._poll())
+    old = rig.estimate(0.0, -8.0)
+    rig.set_reference("r2", positioning=False)
+    await rig.turn(old)
+    assert answer(bench) == -1.0
+    await rig.follow(0.0, 0.0, 20)
+    assert rig.applied["z"] == pytest.approx(8.0, abs=0.11)
+    assert not rig.control.memory.tools
+
+
+@pytest.mark.parametrize(
+    "changes", [{"confidence": 0.8}, {"held_s": 20.0}, {"fading_um": 1.0}, {"thermal_error_um": np.full(2, np.nan)}]
+)
+@pytest.mark.parametrize("kind", [PROBE, REFERENCE])
+async def test_what_was_measured_is_refused_where_the_next_estimate_is_none_to_count_from(rig, bench, kind, changes):
+    await rig.active()
+    await rig.follow(0.0, -8.0, 40)
+    ask(bench, 1, kind, Z_AXIS, 0.003)
+    await rig.control._guarded(rig.control._poll())
+    await rig.turn(rig.estimate(0.0, -8.0, **changes))
+    await rig.follow(0.0, -8.0, 40)
+    assert answer(bench) == -1.0
+    assert rig.applied["z"] == pytest.approx(8.0, abs=0.11)
+    assert not rig.control.memory.tools

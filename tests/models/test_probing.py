@@ -175,5 +175,8 @@ def test_the_output_stops_following_a_model_of_the_wrong_sign_and_a_new_referenc
         assert machine.memory.probed is not None
         assert machine.memory.probed.follows.tolist() == [True, False]
         assert machine.applied[1] == pytest.approx(-5.0 * hour, abs=0.3)
+    offset_um = machine.memory.offset_um.copy()
+    machine.set(thermal_error_um=np.zeros(2), estimate_reference_id="another").step(2, elapsed_s=90.0)
+    np.testing.assert_allclose(machine.memory.offset_um, offset_um, atol=0.01)
     machine.set(reference_id="r2", estimate_reference_id="r2").step()
     assert machine.memory.probed is not None and machine.memory.probed.follows.all()
