@@ -1,6 +1,7 @@
 """Opens the store: creates or migrates its schema, or refuses it."""
 
 import sqlite3
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from urllib.parse import quote
@@ -18,11 +19,12 @@ class HistoryError(RefusedInputError):
     """The store cannot be used as it is; the text is fit for an operator."""
 
 
-def schema_scripts() -> list[tuple[int, str]]:
+@cache
+def schema_scripts() -> tuple[tuple[int, str], ...]:
     """Return the numbered SQL files of the schema in order."""
     folder = resources.files("daemon.history") / "schema"
     files = sorted((f for f in folder.iterdir() if f.name.endswith(".sql")), key=lambda f: f.name)
-    return [(int(f.name.partition("_")[0]), f.read_text(encoding="utf-8")) for f in files]
+    return tuple((int(f.name.partition("_")[0]), f.read_text(encoding="utf-8")) for f in files)
 
 
 def schema_version() -> int:

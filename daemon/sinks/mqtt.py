@@ -24,6 +24,7 @@ from daemon.sinks.discovery import discovery
 from daemon.sinks.outbox import STREAMS, Batch, Outbox
 from daemon.sinks.row_messages import row_messages
 
+VERSION = version("toolpoint")
 NOT_IN_A_LEVEL = re.compile(r"[/+#%\x00-\x1f\x7f]")
 
 
@@ -93,9 +94,7 @@ class MqttSink:
         values = current_values(outbox)
         waiting: list[Message] = []
         if self._config.discovery is not None:
-            for topic, payload in discovery(
-                self._config.discovery, self._machine, self._base, values, version("toolpoint")
-            ):
+            for topic, payload in discovery(self._config.discovery, self._machine, self._base, values, VERSION):
                 waiting += self._changed(Message(topic=topic, payload=payload, retain=True))
         content: dict[str, Any] = {"machine": self._machine, **values}
         payload = json.dumps(content, ensure_ascii=False, allow_nan=False).encode()

@@ -104,6 +104,8 @@ class Outbox(HistoryReader):
     def __init__(self, path: Path, rows_at_once: int = ROWS_AT_ONCE) -> None:
         super().__init__(path)
         self._rows_at_once = rows_at_once
+        self._last_rows: dict[str, int] | None = None
+        self._old_chunks: bool | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -118,14 +120,17 @@ class Outbox(HistoryReader):
         return position if position.row <= self.last_row(stream) else Position()
 
     def last_row(self, stream: Stream) -> int:
-        """Return the highest number that a row of a stream ever had."""
-        with naming_damage(self.path):
-            found = self._connection.execute("SELECT seq FROM sqlite_sequence WHERE name = ?", (stream.table,))
-            (last,) = found.fetchone() or (0,)
-        return int(last)
+        """Return the highest number that a row of a stream ever had, as of the first time that this is asked."""
+        if self._last_rows is None:
+            with naming_damage(self.path):
+                found = self._connection.execute("SELECT name, seq FROM sqlite_sequence")
+                self._last_rows = {name: int(last) for name, last in found}
+        return self._last_rows.get(stream.table, 0)
 
     def batch(self, stream: Stream, position: Position) -> Batch | None:
         """Return what comes next; None when nothing waits."""
+        if position.row >= self.last_row(stream) and not self._has_old_chunks():
+            return None
         with naming_damage(self.path), self._snapshot() as connection:
             if (old := self._first_old_chunk(connection, stream, position)) is not None:
                 chunk_id, layout_id, data = old
@@ -283,6 +288,17 @@ class Outbox(HistoryReader):
         return self._members(layout_id)[1], values
 
     # --- packed hours --------------------------------------------------------------------------
+
+    def _has_old_chunks(self) -> bool:
+        """Return whether anything was packed before rows had lasting numbers."""
+        if self._old_chunks is None:
+            kinds = [stream.chunks for stream in STREAMS.values() if stream.chunks]
+            query = (
+                f"SELECT 1 FROM chunks WHERE kind IN ({', '.join('?' * len(kinds))}) AND last_row_id IS NULL LIMIT 1"
+            )
+            with naming_damage(self.path):
+                self._old_chunks = self._connection.execute(query, kinds).fetchone() is not None
+        return self._old_chunks
 
     def _first_old_chunk(
         self, connection: sqlite3.Connection, stream: Stream, position: Position

@@ -292,6 +292,20 @@ def test_two_machines_make_the_schema_at_the_same_time(server: Server, tmp_path:
     assert problems == ["", "", ""] and counts(server)["cnc"] == 36
 
 
+def test_a_number_without_end_in_one_row_keeps_no_other_back(server: Server, tmp_path: Path) -> None:
+    """JSON has no word for it, and the database takes none: in a macro or a displacement it is null."""
+    store = tmp_path / "h.sqlite"
+    writer = HistoryWriter(store, clock=StillClock(), machine=SMALL)
+    writer.start()
+    with contextlib.closing(writer):
+        writer.cnc_sample(make.cnc_sample(EPOCH_S, macros={600: float("inf"), 601: 2.0}))
+        writer.displacement(make.displacement(EPOCH_S, np.array([-np.inf, 1.0, np.nan])))
+        writer.event("note", "after").result(30.0)
+    assert send(server, tmp_path, store).problem == ""
+    assert server.ask("SELECT macros FROM toolpoint.cnc") == [({"600": None, "601": 2.0},)]
+    assert server.ask("SELECT um FROM toolpoint.displacements") == [({"dx": None, "dy": 1.0, "dz": None},)]
+
+
 # --- refusals ------------------------------------------------------------------------------
 
 

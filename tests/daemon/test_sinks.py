@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from control_rig import machine
+from filled_store import fill
 from history_records import EPOCH_S, SMALL, StillClock
 
 from config.schema import Configuration
@@ -119,6 +120,17 @@ def test_without_sinks_nothing_waits(tmp_path: Path) -> None:
     housekeeping(store, HistoryConfig(keep_temperatures_days=1.0), EPOCH_S + 1.2 * DAY_S)
     with HistoryReader(store) as reader:
         assert reader.row_count("temperatures") == 0
+
+
+def test_a_look_that_finds_nothing_asks_the_store_twice(tmp_path: Path) -> None:
+    """A sink looks every two seconds, beside a machine."""
+    fill(tmp_path / "h.sqlite", hours=1.0)
+    asked: list[str] = []
+    with Outbox(tmp_path / "h.sqlite") as outbox:
+        ends = {name: outbox.end(stream) for name, stream in STREAMS.items()}
+        outbox._connection.set_trace_callback(asked.append)
+        assert [outbox.batch(stream, ends[name]) for name, stream in STREAMS.items()] == [None] * len(STREAMS)
+    assert len(asked) == 2, asked
 
 
 def test_numbers_of_rows_are_not_given_again_when_all_rows_were_packed(tmp_path: Path) -> None:

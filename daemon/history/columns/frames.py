@@ -79,12 +79,12 @@ class MappingColumn:
     """Per key one number for every row; NaN where it is null or the row does not have the key."""
 
     def row(self, index: int) -> dict[str, float | None] | None:
-        """Return one row as it was written; null as None."""
+        """Return one row as it was written; null, and what JSON has no word for, as None."""
         keys = self.shapes[int(self.shape_of_row[index])]
         if keys is None:
             return None
         numbers = ((key, float(self.values[key][index])) for key in keys)
-        return {key: None if np.isnan(number) else number for key, number in numbers}
+        return {key: number if np.isfinite(number) else None for key, number in numbers}
 
 
 ColumnData = IntArray | FloatArray | list[str | None] | MappingColumn
