@@ -308,7 +308,7 @@ class PlantStore:
 def store_status(config: PlantStoreConfig) -> dict[str, Any]:
     """Return whether a store is connected to the database, and how late each machine's newest row is [s].
 
-    By the database's clock. Raises SinkError.
+    By the database's clock; a row of a clock that is ahead is as late as its delivery. Raises SinkError.
     """
     there = config.postgresql
     database = Database(there, f"database {there.host}:{there.port}/{there.database}", "toolpoint store status")
@@ -320,7 +320,8 @@ def store_status(config: PlantStoreConfig) -> dict[str, Any]:
         ).fetchone() or (False,)
         found = ask(
             "SELECT machine, extract(epoch FROM max(newest))::float8, extract(epoch FROM max(delivered))::float8, "
-            "extract(epoch FROM now() - max(newest))::float8 FROM deliveries GROUP BY machine ORDER BY machine"
+            "extract(epoch FROM now() - least(max(newest), max(delivered)))::float8 "
+            "FROM deliveries GROUP BY machine ORDER BY machine"
         ).fetchall()
     except (psycopg.Error, OSError) as error:
         raise database.refused(error) from error

@@ -20,6 +20,8 @@ HINTS = {
     "many clients": "the server lets no more connections in: raise its max_connections: each machine needs one",
     "connection slots": "the server lets no more connections in: raise its max_connections: each machine needs one",
     "database system": "the server is starting, stopping or recovering; it is tried again",
+    "could not write": "perhaps its disk is full: free space on the server",
+    "no space left": "its disk is full: free space on the server",
     "read-only transaction": "the server takes no writes: check that `host` is the primary one, not a standby",
     "role ": "the server does not know the role: check `user_name`",
     "database ": "the server has no such database: check `database`",

@@ -1,6 +1,6 @@
 """From the last byte of a line's cycle to the macro that was read back, in real time, with the whole daemon.
 
-    python tests/benchmarks/bench_feedback.py [--cycles 5000] [--period 0.25] [--secure] [--busy]
+    python tests/benchmarks/bench_feedback.py [--cycles 5000] [--period 0.25] [--secure] [--busy] [--sink postgresql]
 
 Simulated machine and daemon are two processes as in the demo, at speed 1. --period shortens the lines'
 cycle (the dissertation's is 10 s) to gather more samples, and with it the mean before the model, so that a cycle
@@ -14,6 +14,10 @@ many macros that nobody uses in three requests, and reads back. What falls into 
 daemon, and a bare call that met one of the daemon's does not count either; the ratio of the two is printed. It makes
 them twice as often as the daemon, whose caches are colder. --bare none leaves it out.
 
+--sink postgresql or sparkplug lets `toolpoint sink run` send the history meanwhile to a server of its own on this
+computer, as low in priority as its unit sets it. Every twenty seconds it is halted or goes on (then with what has
+waited); the delays of both are printed with their ratio, instead of those of the bare calls.
+
 A short period has a short silence, a quarter of it, after which a pass counts as over. On a computer that
 stalls the simulated wires for as long, passes are cut in two; those incomplete cycles are counted apart.
 """
@@ -25,17 +29,24 @@ import gc
 import json
 import os
 import random
+import signal
 import sqlite3
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 
 import numpy as np
 import psutil
+from mosquitto import mosquitto
+from postgresql import PASSWORD, postgresql
 
 from config.loader import load_configuration
 from daemon.cli.simulate.demo import demo_machine
@@ -117,6 +128,68 @@ def _bare_calls(path: Path, period_s: float, found: list[tuple[float, float]], *
         found += [(float(began), float(ended)) for began, ended in map(str.split, output)]
 
 
+@contextlib.contextmanager
+def _server(kind: str | None, directory: Path) -> Iterator[dict[str, Any]]:
+    """Run what a sink sends to; yields the section of the sink."""
+    if kind is None:
+        yield {}
+    elif kind == "postgresql":
+        password = directory / "password"
+        password.write_text(PASSWORD)
+        with postgresql() as server:
+            yield {"host": "127.0.0.1", "port": server.port, "tls": False, "password_file": str(password)}
+    else:
+        with mosquitto(directory, "allow_anonymous true") as port:
+            yield {"host": "127.0.0.1", "port": port, "tls": False}
+
+
+@contextlib.contextmanager
+def _sending(path: Path, halted: list[tuple[float, float]], *, wanted: bool) -> Iterator[None]:
+    """Let a process send the history meanwhile, in every other turn; `halted` gets when it did not [monotonic s]."""
+    if not wanted:
+        yield
+        return
+    over = threading.Event()
+    command = ["nice", "-n", "15", sys.executable, "-P", "-m", "daemon.cli", "sink", "run", "--config", str(path)]
+    with (
+        (path.parent / "sink.log").open("wb") as log,
+        subprocess.Popen(command, stdout=log, stderr=log) as process,
+    ):
+
+        def take_turns() -> None:
+            while not over.wait(TURN_S):
+                process.send_signal(signal.SIGSTOP)
+                began_s = time.monotonic()
+                over.wait(TURN_S)
+                halted.append((began_s, time.monotonic()))
+                process.send_signal(signal.SIGCONT)
+
+        thread = threading.Thread(target=take_turns)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
+            used = psutil.Process(process.pid).cpu_times()
+            print(f"sender: {used.user + used.system:.1f} s of processor time, with its start")
+            process.terminate()
+
+
+def _with_and_without(feedback: list[tuple[float, float]], halted: list[tuple[float, float]]) -> None:
+    """Print the delays while the sink sends and while it is halted [begin and end in s]; neither across a change."""
+    changes = np.array(halted)
+    inside = [((changes[:, 0] + APART_S < begin_s) & (changes[:, 1] > end_s)).any() for begin_s, end_s in feedback]
+    clear = [(np.abs(changes - end_s) > APART_S).all() for _, end_s in feedback]
+    ms = 1e3 * np.diff(np.array(feedback), axis=1)[:, 0]
+    is_halted, counts = np.array(inside), np.array(clear)
+    both = [ms[counts & ~is_halted], ms[counts & is_halted]]
+    quantiles = [np.percentile(each, [50, 99]) for each in both]
+    for name, (p50, p99), each in zip(("while a sink sends", "while it is halted"), quantiles, both, strict=True):
+        print(f"{name:>22}: p50 {p50:6.2f}, p99 {p99:6.2f} ms, {len(each)} times")
+    print("{:>22}: p50 {:6.3f}, p99 {:6.3f}".format("ratio", *(quantiles[0] / quantiles[1])))
+
+
 def _ratio(feedback: list[tuple[float, float]], bare: list[tuple[float, float]]) -> None:
     """Print the daemon's delays and those of the bare calls [begin and end in s], and their ratio."""
     busy = np.array(feedback)
@@ -138,7 +211,9 @@ def _ratio(feedback: list[tuple[float, float]], bare: list[tuple[float, float]])
     print("{:>33}: p50 {:6.2f}, p99 {:6.2f}, p99.9 {:6.2f}".format("ratio", *(quantiles[0] / quantiles[1])))
 
 
-def _stages(store: Path, to_monotonic_s: float, bare: list[tuple[float, float]]) -> None:
+def _stages(
+    store: Path, to_monotonic_s: float, bare: list[tuple[float, float]], halted: list[tuple[float, float]]
+) -> None:
     """Print where the time goes from the last byte of a complete cycle on [ms], for writes that an estimate caused."""
     with contextlib.closing(sqlite3.connect(f"file:{store}?mode=ro", uri=True)) as connection:
         incomplete = {ms for (ms,) in connection.execute("SELECT utc_ms FROM temperature_cycles WHERE NOT complete")}
@@ -159,13 +234,17 @@ def _stages(store: Path, to_monotonic_s: float, bare: list[tuple[float, float]])
         print(f"{name:>22}: p50 {p50:6.2f}, p99 {p99:6.2f}, p99.9 {p999:6.2f}, max {column.max():6.2f} ms")
     order = np.argsort(stages[:, -1])[::-1][:5]
     print("slowest (write, ms to each stage):", [(int(i), stages[i].round(1).tolist()) for i in order])
-    if bare:
+    if bare or halted:
         ends = [
             (record.outcome_time_s + to_monotonic_s, record.delay_s["read_back"])
             for record in whole
             if record.outcome_time_s is not None and "cleansed" in record.delay_s and "read_back" in record.delay_s
         ]
-        _ratio([(end_s - delay_s, end_s) for end_s, delay_s in ends], bare)
+        feedback = [(end_s - delay_s, end_s) for end_s, delay_s in ends]
+        if bare:
+            _ratio(feedback, bare)
+        else:
+            _with_and_without(feedback, halted)
 
 
 def main() -> None:
@@ -175,7 +254,10 @@ def main() -> None:
     parser.add_argument("--secure", action="store_true")
     parser.add_argument("--busy", action="store_true")
     parser.add_argument("--bare", default="paired", help="none, or (for this program itself) file:period:begin")
+    parser.add_argument("--sink", choices=("postgresql", "sparkplug"))
     options = parser.parse_args()
+    if options.sink is not None:
+        options.bare = "none"
     if ":" in options.bare:
         path, period_s, begin_s = options.bare.rsplit(":", 2)
         asyncio.run(_call_bare(Path(path), float(period_s), float(begin_s)))
@@ -191,9 +273,13 @@ def main() -> None:
         for _ in range((os.cpu_count() or 1) if options.busy else 0)
     ]
     bare: list[tuple[float, float]] = []
+    halted: list[tuple[float, float]] = []
     try:
-        with tempfile.TemporaryDirectory() as name:
-            directory, epoch_utc_s = Path(name), time.time()
+        with contextlib.ExitStack() as stack:
+            directory = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            there, epoch_utc_s = stack.enter_context(_server(options.sink, directory)), time.time()
+            if options.sink is not None:
+                base["sinks"] = [{"name": "bench", "driver": options.sink, options.sink: there}]
             path, _ = write_simulation_configuration(base, directory, speed=1.0, http_port=0, secure=options.secure)
             with start_simulation([], path, speed=1.0, epoch_utc_s=epoch_utc_s, directory=directory) as running:
                 switch_on(running)
@@ -203,7 +289,10 @@ def main() -> None:
                 watch(running, SETTLING_S, lambda _: None, 1.0)
                 running.client.ask("reference")
                 before, wall_s = daemon.cpu_times(), time.monotonic()
-                with _bare_calls(path, options.period, bare, wanted=options.bare == "paired"):
+                with (
+                    _bare_calls(path, options.period, bare, wanted=options.bare == "paired"),
+                    _sending(path, halted, wanted=options.sink is not None),
+                ):
                     watch(running, SETTLING_S + until_s, lambda _: None, 10.0)
                 after, wall_s = daemon.cpu_times(), time.monotonic() - wall_s
                 status = running.client.ask("status")
@@ -216,7 +305,7 @@ def main() -> None:
                     f"daemon: RSS {daemon.memory_info().rss / 2**20:.1f} MiB, "
                     f"CPU {100 * cpu_s / wall_s:.2f} % of a core"
                 )
-            _stages(directory / "history.sqlite", running.epoch_real_s - epoch_utc_s, bare)
+            _stages(directory / "history.sqlite", running.epoch_real_s - epoch_utc_s, bare, halted)
     finally:
         for burner in burners:
             burner.kill()

@@ -195,6 +195,12 @@ def test_a_store_that_cannot_store_says_why_and_its_status_ends_with_1(server: S
         connection.execute("SET application_name = 'toolpoint store'")
         done = CliRunner().invoke(main, [*ask, "--late-s", "3600"])
         assert done.exit_code == 1 and "no machine's newest row is younger than 3600 s" in done.output
+        connection.execute(  # its clock was ahead, and nothing came since
+            "INSERT INTO toolpoint.deliveries VALUES "
+            "('mill 8', 'events', '', 0, 0, now() + interval '1 year', now() - interval '2 hours')"
+        )
+        done = CliRunner().invoke(main, [*ask, "--late-s", "3600"])
+        assert done.exit_code == 1 and "mill 8: 7200 s late" in done.output, done.output
         connection.execute(
             "INSERT INTO toolpoint.deliveries VALUES ('mill 9', 'events', '', 0, 0, now() - interval '3 minutes') "
             "ON CONFLICT DO NOTHING"

@@ -13,7 +13,9 @@ from configuration_keys import walk
 from config.loader import parse_yaml_model
 from config.recordings.recording_map import RecordingMap
 from config.reference import configuration_reference
+from config.sample import sample_configuration
 from config.schema import Configuration
+from config.schema.plant_store import PlantStoreConfig
 from daemon.cli import COMMANDS, main
 from daemon.cli.reference import commands, commands_reference
 from daemon.monitor.web.metrics import OF_AXES
@@ -40,6 +42,17 @@ def test_every_configuration_key_is_in_the_reference() -> None:
         assert heading in text
         table = text.split(f"{heading}\n", 1)[1].split("\n## ", 1)[0]
         assert f"| `{knob.name}` |" in table, ".".join(path)
+
+
+@pytest.mark.parametrize("guide", ["send-history-to-a-plant", "publish-over-mqtt", "send-alarms", "run-a-plant"])
+def test_what_the_guides_of_the_plant_configure_is_taken(guide: str) -> None:
+    blocks = re.findall(r"```yaml\n(.*?)```", page(f"how-to/{guide}.md"), re.DOTALL)
+    assert blocks
+    for block in blocks:
+        if block.startswith("sinks:"):
+            assert parse_yaml_model(f"{sample_configuration()}\n{block}", Configuration, guide).sinks
+        else:
+            parse_yaml_model(block, PlantStoreConfig, guide)
 
 
 def test_command_reference_is_current() -> None:
