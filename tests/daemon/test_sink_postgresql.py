@@ -344,7 +344,7 @@ def test_a_server_that_is_full_of_connections_names_the_setting(server: Server) 
         ("FATAL: the database system is starting up", "starting, stopping"),
         ("cannot execute INSERT in a read-only transaction", "`host` is the primary"),
         ('FATAL: database "plant" does not exist', "check `database`"),
-        ("connection failed: FATAL: could not write init file", "its disk is full"),
+        ("connection failed: FATAL: could not write init file", "its disk may be full"),
     ],
 )
 def test_a_server_that_starts_is_not_taken_for_one_without_the_database(said: str, advised: str) -> None:
