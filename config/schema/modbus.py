@@ -59,6 +59,11 @@ class ModbusRegister(Measured):
 class ModbusSensorConfig(ModbusRegister, SourceSensorConfig):
     """One sensor in one or two registers of a box."""
 
+    @property
+    def step_k(self) -> float:
+        """Step in which it counts [K]; 0 where the register holds fractions."""
+        return 0.0 if self.type == "float32" else abs(self.value(1.0) - self.value(0.0))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModbusRequest:

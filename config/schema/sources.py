@@ -116,6 +116,11 @@ class SourceSensorConfig(Measured):
         """Return whether a number as read says that there is no sensor."""
         return number in self.open
 
+    @property
+    def step_k(self) -> float:
+        """Step in which it counts [K]; 0 where it is not known."""
+        return 0.0
+
     def value(self, number: float) -> float:
         """Return the temperature of a number as read [degC]."""
         value = number * self.scale + self.offset

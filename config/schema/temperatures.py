@@ -8,6 +8,7 @@ from pydantic import Field, WithJsonSchema, field_validator, model_validator
 from config.schema.base import RANGE_PATTERN, KeyPath, KeyProblems, Name, Seconds, Section
 from config.schema.source_drivers import SourceConfig
 from config.schema.sources import SourceSensorConfig
+from models.units import MLX90615_K_PER_LSB, TMP102_DEGC_PER_LSB
 
 SensorNumber = Annotated[
     int,
@@ -128,6 +129,11 @@ class SensorConfig(Section):
     label: Name | None = Field(
         None, description="sensors with one label are averaged under that name", examples=["Nose"]
     )
+
+    @property
+    def step_k(self) -> float:
+        """Step in which it counts [K]."""
+        return TMP102_DEGC_PER_LSB if self.device == "TMP102" else MLX90615_K_PER_LSB
 
 
 class CleansingConfig(Section):
@@ -324,6 +330,11 @@ class TemperaturesConfig(Section):
             if sensor.label:
                 labels.setdefault(sensor.label, []).append(index)
         return {label: tuple(indices) for label, indices in labels.items()}
+
+    @cached_property
+    def steps_k(self) -> dict[int, float]:
+        """Step in which each sensor counts [K], by its ID; 0 where it is not known."""
+        return {sensor.id: sensor.step_k for sensor in self.every_sensor}
 
     @cached_property
     def components(self) -> tuple[str, ...]:

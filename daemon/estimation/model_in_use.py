@@ -38,8 +38,10 @@ class ModelInUse:
     ----------
     model
         Of whatever family.
-    sensor_ids, components
+    sensor_ids
         Of the machine's sensors, in its order.
+    machine
+        Their components and steps.
     positions
         Names of the axis positions that follow the temperatures.
     history
@@ -51,7 +53,7 @@ class ModelInUse:
         self,
         model: ThermalModel,
         sensor_ids: Sequence[int],
-        components: Sequence[str],
+        machine: Machine,
         history: History,
         positions: Sequence[str] = (),
     ) -> None:
@@ -62,7 +64,7 @@ class ModelInUse:
         """Of the model's sensors in the machine's order; they are set anew when they return."""
         behind = [len(sensor_ids) + list(positions).index(name) for name in model.axis_positions]
         self._inputs = np.array([*self.places, *behind], dtype=np.intp)
-        self._online = model.runtime(Machine(components=dict(zip(sensor_ids, components, strict=True))))
+        self._online = model.runtime(machine)
         self._period_s = model.period_s or PERIOD_S
         self._history = history
         self.waits = "it was released just now"

@@ -13,6 +13,7 @@ import numpy as np
 import structlog
 
 from config.schema import Configuration
+from config.schema.temperatures import TemperaturesConfig
 from daemon.estimation.cleansing import NAMED, Cleansing
 from daemon.estimation.inputs import NoPositions
 from daemon.estimation.model_in_use import History, ModelInUse
@@ -42,7 +43,7 @@ from models.records import (
     ThermalErrorEstimate,
 )
 from models.sensor_levels import unshifted
-from models.thermal.estimation import UNSURE_UM, Estimation
+from models.thermal.estimation import UNSURE_UM, Estimation, Machine
 from models.thermal.family import ThermalModel
 
 MOST_WAITING = 100
@@ -116,7 +117,7 @@ class ThermalTask:
         )
         self._labels = {label: np.array(indices) for label, indices in temperatures.labels.items()}
         self._sensor_ids = temperatures.sensor_ids
-        self._components = temperatures.components
+        self._machine = _machine(temperatures)
         self._cleansing = Cleansing(configuration, clock)
         self._reference: Reference | None = None
         self.inbox = inbox
@@ -226,7 +227,7 @@ class ThermalTask:
         if model is None:
             return None
         means = _means_of(self._past, self._cleansing, len(self._sensor_ids))
-        return ModelInUse(model, self._sensor_ids, self._components, means, self._positions.names)
+        return ModelInUse(model, self._sensor_ids, self._machine, means, self._positions.names)
 
     def inhibit(self) -> str:
         """Return why the model cannot be followed yet, '' when it can or when there is none."""
@@ -403,6 +404,11 @@ def _waits_for(
         late = now_s - before.trace.first_byte.monotonic_s > cleansing.window_s / 2
         to.waits = "no temperatures came for a while" if late else ""
     return to.waits
+
+
+def _machine(temperatures: TemperaturesConfig) -> Machine:
+    components = dict(zip(temperatures.sensor_ids, temperatures.components, strict=True))
+    return Machine(components=components, steps_k=temperatures.steps_k)
 
 
 def _tool_um_per_k(configuration: Configuration) -> FloatArray:

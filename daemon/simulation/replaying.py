@@ -49,6 +49,7 @@ OF_THE_WIRES = (
     "has not passed its positioning",
     "echo is vacant",
     "temperatures are stale",
+    "no temperature has arrived",
 )
 """What keeps the output from following though the simulated wires are whole: a computer too busy for the speed."""
 OF_THE_PAST = "stand for the last"

@@ -1,7 +1,7 @@
 """Inputs and results of a thermal model on line, whichever its family."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -21,6 +21,8 @@ class Machine:
 
     components: Mapping[int, str]
     """Component of each sensor, by its ID."""
+    steps_k: Mapping[int, float] = field(default_factory=dict[int, float])
+    """Step in which each sensor counts [K], by its ID, where it is known."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -35,18 +35,20 @@ SEASON_K = 20.0
 class LinearEstimator:
     """A linear model, prepared once; every method is pure in the state.
 
-    `components`: machine component of each sensor of the model, in its order; empty: all are on one.
+    `components`: machine component of each sensor of the model, in its order; empty: all are on one. `steps_k`: step in
+    which each of them counts [K], 0 where none is known; empty: of none.
     """
 
-    def __init__(self, model: LinearParameters, components: Sequence[str] = ()) -> None:
+    def __init__(self, model: LinearParameters, components: Sequence[str] = (), steps_k: Sequence[float] = ()) -> None:
         if components and len(components) != len(model.sensor_ids):
             raise ValueError(f"{len(components)} components for {len(model.sensor_ids)} sensors of {model.model_id}")
         self.model = model
         names = sorted(set(components))
         beside = np.array([names.index(each) for each in components], dtype=np.intp) if components else None
         self.left_out = LeftOut(model, beside)
-        self._watcher = None if model.watch is None else Watcher(model.watch)
         self._watched_sensors = model.layout.sensors - len(model.axis_positions)
+        steps_k = steps_k[: self._watched_sensors]
+        self._watcher = None if model.watch is None else Watcher(model.watch, steps_k)
         self._lowest, self._highest, self._farthest = widened(model.domain, self._watched_sensors)
         self._bridge_min = max(BRIDGE_MIN, 2.5 * model.period_min)
         self._past = KnownHistory(model, self._bridge_min)

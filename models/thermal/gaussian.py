@@ -199,8 +199,8 @@ class GaussianModel(LinearModel):
 class GaussianEstimator(LinearEstimator):
     """Runs a model of Gaussian processes sample by sample, see `LinearEstimator`."""
 
-    def __init__(self, model: LinearParameters, components: Sequence[str] = ()) -> None:
-        super().__init__(model, components)
+    def __init__(self, model: LinearParameters, components: Sequence[str] = (), steps_k: Sequence[float] = ()) -> None:
+        super().__init__(model, components, steps_k)
         self._far: tuple[tuple[int, ...], FloatArray] | None = None
 
     def _far_coefficients(self, model: GaussianModel, out: tuple[int, ...]) -> FloatArray:

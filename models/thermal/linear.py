@@ -36,8 +36,8 @@ FAMILY = "linear"
 class LinearOnline:
     """Advances the states once per sample of the training's period; estimates whenever it is asked.
 
-    `model`: the model. `machine`: components of its sensors, which a model without ridges takes for each other.
-    `estimator`: what runs it.
+    `model`: the model. `machine`: components of its sensors, which a model without ridges takes for each other, and
+    the steps in which they count. `estimator`: what runs it.
     """
 
     def __init__(
@@ -45,7 +45,8 @@ class LinearOnline:
     ) -> None:
         self.model = model
         components = tuple(machine.components.get(sensor_id, "") for sensor_id in model.sensor_ids)
-        self._estimator = estimator(model, components)
+        steps_k = tuple(machine.steps_k.get(sensor_id, 0.0) for sensor_id in model.sensor_ids)
+        self._estimator = estimator(model, components, steps_k)
         self._state: ModelState | None = None
         self._reference: StateReference | None = None
         self._reference_min = 0.0

@@ -24,8 +24,10 @@ from models.thermal.sensor_watch import (
 )
 
 MOVED = 0.5
-"""A sensor that stands still has moved when the others say so by more than this share of its limit: by more than they
-were ever wrong about it in training."""
+"""A sensor that stands still has moved when the others say so by more than this share of its limit, by more than they
+were ever wrong about it in training, and by more than the step in which it counts."""
+COARSE_K = 0.05
+"""The mean over a minute of a sensor that counts in steps of so much is often twice the same [K]."""
 CONFIRM_MIN = 10.0
 """A departure must last so long [min] before it is a fault."""
 MOST_MAP_VALUES = 500_000
@@ -107,11 +109,15 @@ def _expected(of_out: FloatArray, scaled: FloatArray, out: npt.NDArray[np.intp])
 class Watcher:
     """Steps the state of a watch; keeps only what follows from the watch itself.
 
-    `watch`: limits and predictions from training.
+    `watch`: limits and predictions from training. `steps_k`: step in which each sensor counts [K], 0 where none is
+    known; empty: of none. Training may have seen finer values.
     """
 
-    def __init__(self, watch: SensorWatch) -> None:
+    def __init__(self, watch: SensorWatch, steps_k: Sequence[float] = ()) -> None:
         self.watch = watch
+        steps = np.array(steps_k) if len(steps_k) else np.zeros(watch.layout.sensors)
+        self._flat_min = np.where(steps >= COARSE_K, np.maximum(watch.flat_min, FLAT_MIN), watch.flat_min)
+        self._moved = np.maximum(MOVED, steps / watch.threshold_k)
         self._maps: dict[tuple[int, ...], tuple[FloatArray, FloatArray]] = {}
         self._most_maps = max(2, MOST_MAP_VALUES // (watch.layout.sensors * watch.layout.columns))
         _, self._usual = self._map(())
@@ -262,7 +268,7 @@ class Watcher:
             over_min=state.over_min,
             departed=state.departed,
             flat_from=np.where(same, state.flat_from, state.departed),
-            moved_since_min=np.where(same & (np.abs(moved) > MOVED), state.moved_since_min, time_min),
+            moved_since_min=np.where(same & (np.abs(moved) > self._moved), state.moved_since_min, time_min),
             heard=state.heard | known,
             faults=state.faults,
         )
@@ -273,7 +279,7 @@ class Watcher:
         signs = {
             MISSING: now.time_min - now.known_min > max(BRIDGE_MIN, 2.5 * (now.time_min - before.time_min)),
             "slew": np.isfinite(degc) & before.heard & (slew > watch.slew_k_per_min),
-            "flat": np.isfinite(degc) & (now.time_min - now.flat_since_min >= watch.flat_min) & self._stands(now),
+            "flat": np.isfinite(degc) & (now.time_min - now.flat_since_min >= self._flat_min) & self._stands(now),
         }
         found = []
         for sign, applies in signs.items():
@@ -288,7 +294,7 @@ class Watcher:
 
         A sensor that counts in steps keeps its value for as long as the machine hardly warms.
         """
-        return np.asarray((self.watch.flat_min < FLAT_MIN) | (state.time_min - state.moved_since_min >= FLAT_MIN))
+        return np.asarray((self._flat_min < FLAT_MIN) | (state.time_min - state.moved_since_min >= FLAT_MIN))
 
     def relative_departures(self, state: WatchState, excluded: tuple[int, ...]) -> FloatArray:
         """Return each sensor's departure over its threshold, without some sensors, shape (n_sensors,)."""

@@ -17,6 +17,7 @@ from pathlib import Path
 import daemon.app
 from daemon.estimation.model_in_use import ModelInUse
 from daemon.model_release.loading import read_model
+from models.thermal.estimation import Machine
 
 def resident_mib():
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20
@@ -27,7 +28,7 @@ ones @ ones, np.linalg.inv(np.eye(100))  # what linear algebra takes once, whate
 before = resident_mib()
 model, why = read_model(Path(sys.argv[1]), ids, ("z",))
 assert model is not None, why
-in_use = ModelInUse(model, ids, ("machine",) * len(ids), lambda *_: ())
+in_use = ModelInUse(model, ids, Machine(components=dict.fromkeys(ids, "machine")), lambda *_: ())
 print(json.dumps(resident_mib() - before))
 """
 

@@ -55,6 +55,7 @@ def test_an_output_that_went_back_is_named_by_its_cause_and_a_sensor_by_its_colu
     [
         ("no link to the CNC", "play it again at --speed 150"),
         ("held too long: temperatures are stale (468 s old)", "play it again at --speed 150"),
+        ("reference of request 2 refused: no temperature has arrived in the last 60 s", "play it again at --speed 150"),
         ("no valid reference: the NC program has not passed its positioning", "play it again at --speed 150"),
         ("confidence 0.10 is below 0.70 (outside the domain)", "record 2 runs like it"),
         ("the level of sensor 2 by 2.0 K has changed", "look at that sensor in the recording"),

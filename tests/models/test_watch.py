@@ -50,9 +50,11 @@ def watch(whole: Recording) -> SensorWatch:
     return fit_watch([whole], 60.0, rows, inner_folds(inputs, rows)[0])
 
 
-def follow(watch: SensorWatch, whole: Recording, degc: FloatArray, first: int = 600) -> WatchState:
+def follow(
+    watch: SensorWatch, whole: Recording, degc: FloatArray, first: int = 600, steps_k: tuple[float, ...] = ()
+) -> WatchState:
     assert whole.speed_rpm is not None
-    watcher = Watcher(watch)
+    watcher = Watcher(watch, steps_k)
     state = watcher.begin(0.0, degc[0], float(whole.speed_rpm[0]))
     for row in range(1, whole.rows):
         speed_rpm = float(whole.speed_rpm[row])
@@ -234,6 +236,28 @@ def test_a_sensor_that_counts_in_steps_may_stand_still_with_the_machine_and_not_
     stuck = stepped.temperatures_degc.copy()
     stuck[700:, 2] = stuck[700, 2]
     found = [fault.sensor for fault in follow(stepped_watch, stepped, stuck).faults]
+    assert found == [2]
+
+
+@pytest.mark.parametrize("step_k", [0.0625, 0.1])
+def test_a_machine_that_counts_in_coarser_steps_than_training_may_stand_still_and_a_stuck_sensor_may_not(
+    watch: SensorWatch, whole: Recording, step_k: float
+) -> None:
+    stepped, steps_k = in_steps(whole, step_k), (step_k,) * SENSORS
+    assert stepped.speed_rpm is not None
+    creep = whole.temperatures_degc[0] + np.linspace(0.0, 2.0 * step_k, 600)[:, None]
+    resting = replace(
+        stepped,
+        time_s=60.0 * np.arange(float(stepped.rows + 600)),
+        speed_rpm=np.concatenate([np.repeat(stepped.speed_rpm[:1], 600), stepped.speed_rpm]),
+        temperatures_degc=np.vstack([np.round(creep / step_k) * step_k, stepped.temperatures_degc]),
+        displacements_um=np.zeros((stepped.rows + 600, 1)),
+    )
+    assert (watch.flat_min < 15.0).all(), "no sensor of the training had a value twice"
+    assert follow(watch, resting, resting.temperatures_degc, 10, steps_k).faults == ()
+    stuck = stepped.temperatures_degc.copy()
+    stuck[700:, 2] = stuck[700, 2]
+    found = [fault.sensor for fault in follow(watch, stepped, stuck, steps_k=steps_k).faults]
     assert found == [2]
 
 

@@ -35,6 +35,7 @@ from daemon.model_release.loading import load_released, read_model
 from drivers.opcua.cnc import node_map
 from models.control.state import OperatorRequest
 from models.records import Instant, Reference
+from models.thermal.estimation import Machine
 from models.thermal.family import model_from_json as thermal_model_from_json
 from models.thermomechanics.artifact import model_from_json
 
@@ -421,7 +422,8 @@ def test_model_files_give_the_same_estimates(name: str, rewritten: bool, series:
             if from_s < moment_s <= to_s:
                 yield float(moment_s), values, float(speed_rpm)
 
-    followed = ModelInUse(model, SENSOR_IDS, tuple(series["components"]), past)
+    machine = Machine(components=dict(zip(SENSOR_IDS, series["components"], strict=True)))
+    followed = ModelInUse(model, SENSOR_IDS, machine, past)
     reference_s = float(time_s[begin])
     followed.prepare(reference_s)
     followed.on_sample(reference_s, degc[begin], float(rpm[begin]))

@@ -61,7 +61,8 @@ class Twin:
         """`models` by identity; `sensor_ids`: of the machine, in the order in which temperatures come."""
         position = {sensor_id: index for index, sensor_id in enumerate(sensor_ids)}
         sensors = configuration.temperatures.sensors
-        told = Machine(components={sensor.id: sensor.component for sensor in sensors})
+        of_sensors = {sensor.id: sensor.component for sensor in sensors}
+        told = Machine(components=of_sensors, steps_k=configuration.temperatures.steps_k)
         self._models = models
         self._online: dict[str, OnlineModel] = {name: _all_counted(m).runtime(told) for name, m in models.items()}
         self._places = {name: np.array([position[i] for i in m.sensor_ids]) for name, m in models.items()}
