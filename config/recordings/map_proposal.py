@@ -13,28 +13,30 @@ from typing import Any
 
 import yaml
 
-from config.recordings.recording_map import RecordingMap
+from config.recordings.recording_map import RecordingMap, are_days, fits
 
-_DATE = re.compile(r"\b(date|datum|tag|day)\b")
-_TIME = re.compile(r"\b(time|zeit|uhrzeit|timestamp|zeitstempel|datetime|utc|clock|t|temps|elapsed)\b")
-_SPEED = re.compile(r"rpm|1/min|min-1|min\^-1|u/min|r/min|drehzahl|spindle.?speed|speed")
+_DATE = re.compile(r"\b(date|datum|tag|day)\b|日付|年月日")
+_TIME = re.compile(r"\b(time|zeit|uhrzeit|timestamp|zeitstempel|datetime|utc|clock|t|temps|elapsed)\b|日時|時刻|時間")
+_SPEED = re.compile(r"rpm|1/min|min-1|min\^-1|u/min|r/min|drehzahl|spindle.?speed|speed|回転")
 _DEGC = re.compile(r"°\s*c\b|deg\s*_?c\b|℃|\[c\]|\(c\)|celsius|grad c")
 _UM = re.compile(r"[µμ]m|\bum\b|_um$|micron|micromet")
 _MM = re.compile(r"\bmm\b|_mm$")
-_MOVES = re.compile(r"displace|verlagerung|deviation|thermal.?error|\bweg\b|probe|^d[xyz]|^e[xyz]")
+_MOVES = re.compile(r"変位|displace|verlagerung|deviation|thermal.?error|\bweg\b|probe|^d[xyz]|^e[xyz]")
 """Beside millimetres a displacement says so; an axis position is in millimetres, too."""
 _OTHER_UNIT = re.compile(
     r"\bmm\b|\bnm\b|\bkw\b|\bw\b|\ba\b|\bv\b|%|\bbar\b|\bhz\b|°\s*f\b|\bdegf\b|\bnm\b|\bl/min\b|\bkelvin\b"
 )
-_TEMPERATURE = re.compile(r"temp|thermo|pt ?100+|^tc ?\d+|^rtd|^t[a-z]? ?\d+$|^t ")
+_TEMPERATURE = re.compile(r"温度|temp|thermo|pt ?100+|^tc ?\d+|^rtd|^t[a-z]? ?\d+$|^t ")
 _DISPLACEMENT = re.compile(
-    r"displace|verlagerung|deviation|thermal.?error|^weg\b|^[xyzabcuvw] ?\d*$|^d[xyz]\d*$|^e[xyz]\d*$|probe"
+    r"変位|displace|verlagerung|deviation|thermal.?error|^weg\b|^[xyzabcuvw] ?\d*$|^d[xyz]\d*$|^e[xyz]\d*$|probe"
 )
 _FORMATS = tuple(
     f"{date} {time}"
     for date in ("%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%d-%m-%Y", "%Y%m%d", "%d %b %Y")
     for time in ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
 )
+JAPANESE = ("温度", "変位", "時刻", "日時", "回転")
+"""Words of recordings, by which their encoding is told."""
 _MILLISECONDS = re.compile(r"\bms(ec)?\b|_ms$|milli")
 _OF_DAY = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p")
 
@@ -73,7 +75,7 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
     keys: dict[str, Any] = {}
     notes: list[str] = []
     unit_row = bool(rows) and not any(_number(text) is not None for text in rows[0]) and len(rows) > 1
-    complete = [row for row in rows[int(unit_row) :] if len(row) == len(header)]
+    complete = [row[: len(header)] for row in rows[int(unit_row) :] if fits(row, len(header))]
     columns = {name: [row[i] for row in complete] for i, name in enumerate(header) if name}
     described = _described(header, rows[0] if unit_row else ())
     numbers = [name for name, texts in columns.items() if _numbers(texts)]
@@ -148,9 +150,11 @@ def _time_keys(columns: dict[str, list[str]], described: dict[str, str], notes: 
         if _MILLISECONDS.search(described[name]):
             notes.append(f"{name!r} seems to be in milliseconds, which a map cannot say: divide the column by 1000")
             continue
-        if _numbers(columns[name]) and _increases(
-            [number for text in columns[name] if (number := _number(text)) is not None]
-        ):
+        found = [number for text in columns[name] if (number := _number(text)) is not None]
+        if _numbers(columns[name]) and _increases(found):
+            if are_days(found):
+                notes.append(f"{name!r} is taken to be in days, as spreadsheets count dates")
+                return {"time": name, "time_unit": "d"}
             return {"time": name, "time_unit": _unit(described[name], name, notes)}
     for name in (*times, *dates):
         if _time_form([*dict.fromkeys(columns[name])]) is not None:

@@ -3,7 +3,9 @@
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
+from itertools import pairwise
 from pathlib import Path
+from statistics import median
 from typing import Any, Literal
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
@@ -30,7 +32,7 @@ class RecordingMap(Section):
     """Map from the columns of a recording to what they mean."""
 
     time: str = Field(min_length=1, description="column that holds the time")
-    time_unit: Literal["s", "min", "h", "iso"] = Field(
+    time_unit: Literal["s", "min", "h", "d", "iso"] = Field(
         "s", description="unit of the time column; iso: date and time as ISO 8601"
     )
     time_format: str | None = Field(
@@ -158,6 +160,7 @@ def resolve_columns(recording_map: RecordingMap, header: Sequence[str]) -> Colum
             raise ColumnError(
                 key, f"{_listed(header[i] for i in both)} would be {meanings} at once; write narrower patterns"
             )
+    _require_units(header, {"temperatures": temperatures, "displacements": displacements})
     channels = _channels(recording_map.displacement_names or {}, header, displacements)
     return Columns(
         time=time,
@@ -170,6 +173,16 @@ def resolve_columns(recording_map: RecordingMap, header: Sequence[str]) -> Colum
         channels=channels,
         slopes=_slopes(recording_map.slopes or {}, header, channels, {*temperatures, *displacements}),
     )
+
+
+def _require_units(header: Sequence[str], columns: Mapping[str, Sequence[int]]) -> None:
+    """Refuse a column that has the unit of the other kind in its name, and not its own."""
+    for key, other in (("temperatures", "displacements"), ("displacements", "temperatures")):
+        for name in (header[i] for i in columns[key]):
+            if _UNITS[other].search(name) and not _UNITS[key].search(name):
+                raise ColumnError(
+                    key, f"column {name!r} is among the {other}, by the unit in its name; say so in the map"
+                )
 
 
 def _slopes(
@@ -208,6 +221,18 @@ def _channels(names: Mapping[str, str], header: Sequence[str], displacements: Se
     if twice := sorted({name for name in found if found.count(name) > 1}):
         raise ColumnError("displacement_names", f"two columns would be called {twice[0]!r}; call each otherwise")
     return found
+
+
+def fits(fields: Sequence[str], columns: int) -> bool:
+    """Return whether a row has a field for each column, and beyond them empty ones at most."""
+    return len(fields) >= columns and not any(text.strip() for text in fields[columns:])
+
+
+def are_days(numbers: Sequence[float]) -> bool:
+    """Return whether increasing numbers are dates as spreadsheets count them: they go on by parts of a day."""
+    if len(numbers) < 2 or not _DAYS[0] <= numbers[0] <= numbers[-1] <= _DAYS[1]:
+        return False
+    return median(second - first for first, second in pairwise(numbers)) <= _DAY_STEP
 
 
 def matching_names(recording_map: RecordingMap, header: Sequence[str]) -> dict[str, list[str]]:
@@ -278,6 +303,11 @@ def _listed(names: Iterable[str]) -> str:
     return ", ".join(texts) if len(texts) <= 12 else ", ".join([*texts[:10], f"... ({len(texts)} in all)"])
 
 
+_DAYS = (20_000.0, 80_000.0)
+"""Dates as spreadsheets count them, from 1954 to 2119."""
+_DAY_STEP = 0.02
+"""Rows that are farther apart [d] are no recording."""
+_UNITS = {"temperatures": re.compile(r"°\s*C|℃|\bdeg_?C"), "displacements": re.compile(r"[µμ]m|\bum\b")}
 _TIME_NAMES = {"t": "s", "time": "s", "time_s": "s", "utc_s": "s", "time_min": "min", "time_h": "h", "utc": "iso"}
 _SPEED_NAMES = ("rpm", "speed", "speed_rpm", "spindle_speed_rpm")
 _MAP_IT = "give a map, which `toolpoint thermal train --map-out map.yaml` proposes"

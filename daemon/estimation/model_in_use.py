@@ -74,8 +74,17 @@ class ModelInUse:
     def prepare(self, now_s: float) -> None:
         """Fill states and watch from the history of the last hours; once, in a thread, before the first sample."""
         if self._online.memory_min > 0.0:
-            self._online.rebuild(self._samples(now_s, self._online.memory_min))
-            log.info("states.rebuilt", model=self.model.model_id, filled=round(self._online.filled, 3))
+            known_h: list[float] = []
+            self._online.rebuild(self._noted(self._samples(now_s, self._online.memory_min), known_h))
+            hours = {"known_h": round(sum(known_h), 2), "of_h": round(self._online.memory_min / 60.0, 2)}
+            log.info("states.rebuilt", model=self.model.model_id, confidence=round(self._online.filled, 3), **hours)
+
+    def _noted(self, samples: Samples, known_h: list[float]) -> Samples:
+        """Yield samples, noting the hours of those in which a temperature of the model is known."""
+        for time_min, degc, speed_rpm in samples:
+            if np.isfinite(degc[: len(self.places)]).any():
+                known_h.append(self._period_s / 3600.0)
+            yield time_min, degc, speed_rpm
 
     def on_sample(self, now_s: float, degc: FloatArray, speed_rpm: float) -> None:
         """Take the means of the last minute: temperatures [degC] and spindle speed [1/min], NaN where unknown."""

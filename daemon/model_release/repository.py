@@ -94,7 +94,8 @@ class ReleaseRepository:
         if not self.model_file.is_symlink():
             if self.model_file.exists():
                 raise ReleaseError(
-                    f"{self.model_file} is a file of its own, which nobody released; move it away, then release it"
+                    f"{self.model_file} is a plain file, which nobody released and nobody can go back to; move it to "
+                    "another folder, and release it from there with `toolpoint model release`"
                 )
             return None
         record, problem = released(self.model_file)

@@ -25,10 +25,12 @@ from drivers.sim.nc.safe_point import GUARD_VERSION
 from models.cleanse import CleansingRules
 from models.model_file import ModelError
 from models.recordings.dataset import Recording
+from models.recordings.plausibility import RISES_FROM_DEGC, are_rises
 from models.records import OutputState
 from models.thermal.family import model_from_json
 from models.thermal.training.inputs import with_sensors
 from models.thermal.training.making import sensor_ids_from_names
+from models.units import TMP102_DEGC_PER_LSB
 
 MOST_CHANNELS = 20
 POSITION_AXES = "XYZUVW"
@@ -59,6 +61,10 @@ FAST_MARGIN = 1.5
 """A change within a cycle may be so many times the fastest of the recording."""
 MOST_CHANGE_K = 5.0
 """No temperature changes faster within a cycle [K]."""
+ZERO_DEGC = 0.5 * TMP102_DEGC_PER_LSB
+"""A node sends 0 degC for what is nearer to it."""
+FIRST_BLOCK_S = 60.0
+"""The mean over so long stands still until the work is positioned [s]."""
 NAMED = 3
 """So many sensors are named in one sentence."""
 LIMITS = {"absolute_bound_um": 200.0, "slew_um_per_min": 20.0, "step_um": 50.0, "deadband_um": 0.0}
@@ -327,6 +333,27 @@ def allowed_change_k(recording: Recording, cycle_s: float) -> tuple[float, str]:
         f"is played with temperatures.cleansing.max_change_degc: {needed_k:g}, and the machine needs that too, or the "
         "output holds because a sensor seems to be at another level"
     )
+
+
+def played_otherwise(whole: Recording, part: Recording) -> list[str]:
+    """Return what is said of temperatures near 0 degC, where a node that was reset sends the same.
+
+    `whole`: the recording, whose beginning tells rises since the start from temperatures. `part`: what is played of it.
+    """
+    if are_rises(whole.temperatures_degc[:, : whole.sensors]):
+        start = f"{RISES_FROM_DEGC:g} degC"
+        return [f"all temperatures begin at 0, so they are taken for rises since the start, and played from {start} on"]
+    first_degc = part.downsampled(FIRST_BLOCK_S).temperatures_degc[0, : part.sensors]
+    names = [name for name, degc in zip(part.temperature_names, first_degc, strict=False) if abs(degc) < ZERO_DEGC]
+    if not names:
+        return []
+    listed = ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
+    return [
+        f"what is played begins at 0 degC ({listed}): a node that was reset sends the same, so such a sensor counts as "
+        "missing until it sends something else, and where too few are left the replay cannot be switched on; begin "
+        "where they are warmer (--from-hours). Rises since the start are known by all temperatures beginning at 0: "
+        "play the file from its first row"
+    ]
 
 
 def _lines(sensor_ids: Sequence[int]) -> dict[str, list[int]]:

@@ -27,12 +27,10 @@ from drivers.sim.wires.opcua_server import ServerSecurity
 from drivers.sim.wires.runner import Witness, run_simulated_machine
 from drivers.sim.wires.source_wires import as_simulated
 from models.recordings.dataset import Recording
-from models.recordings.plausibility import are_rises
+from models.recordings.plausibility import RISES_FROM_DEGC, are_rises
 
 DEMO_SEED = 1000
 """The demo's day; the shipped model was fitted on other days (`daemon.simulation.simulated_model`)."""
-RISES_FROM_DEGC = 20.0
-"""Rises since the start are played from here [degC]: a node that sends 0 degC is taken for one that was reset."""
 
 Report = Callable[[dict[str, Any]], None]
 

@@ -17,7 +17,15 @@ from pathlib import Path
 import numpy as np
 
 from config.files import write_whole
-from config.recordings.recording_map import ColumnError, Columns, RecordingMap, resolve_columns, usual_map
+from config.recordings.recording_map import (
+    ColumnError,
+    Columns,
+    RecordingMap,
+    are_days,
+    fits,
+    resolve_columns,
+    usual_map,
+)
 from drivers.contract import FatalDriverError
 from drivers.files.recording_time import SECONDS, TimeReader, time_reader
 from models.recordings.dataset import DatasetError, Recording
@@ -303,7 +311,7 @@ def _rows(place: _Place, lines: Iterator[str], form: _Form) -> tuple[FloatArray,
             break
         if not any(field.strip() for field in fields):
             continue
-        if len(fields) != len(header):
+        if not fits(fields, len(header)):
             raise place.refuse(
                 f"has {len(fields)} fields where the header has {len(header)}; is the row cut off or the "
                 "decimal mark a comma?"
@@ -316,8 +324,18 @@ def _rows(place: _Place, lines: Iterator[str], form: _Form) -> tuple[FloatArray,
         table.append(_numbers(place, header, fields, wanted, decimal))
     if not times:
         raise place.refuse("holds no rows after its header")
+    _require_seconds(place, times, form)
     time_s = np.array(times)
     return time_s - time_s[0], np.array(table)
+
+
+def _require_seconds(place: _Place, times: list[float], form: _Form) -> None:
+    """Refuse dates as spreadsheets count them that are taken for seconds: hours of them would last a second."""
+    of_text = form.recording_map.time_format is not None or form.recording_map.time_unit != "s"
+    if not of_text and are_days(times):
+        sentence = f"{times[0]:.10g} and so on are days, as spreadsheets count dates: say time_unit: d in the map"
+        place.line = 0
+        raise place.refuse(sentence, form.header[form.columns.time])
 
 
 def _disorder(times: list[float], *, local: bool) -> str:

@@ -29,6 +29,14 @@ STILL_UM = 0.1
 """A channel that moves by less, and moves, while the machine warms, is not in micrometres: no sensor is so quiet."""
 KELVIN_BELOW = 400.0
 """What is no temperature in degC may be one in kelvin below this."""
+LIKE_THE_OTHERS_K = 1.0
+"""A displacement that begins no farther from all temperatures but one, and ..."""
+UNLIKE_THE_OTHERS_K = 3.0
+"""... that one, which begins farther from the others, are exchanged."""
+FEWEST_LIKE = 3
+"""So many other temperatures say what temperatures are like."""
+SHORTEST_S = 900.0
+"""In less time nothing warms by much: a time that is not in seconds is more likely [s]."""
 CLOCK_CHANGE_S = 3600.0
 """So far a wall clock jumps in spring [s]."""
 MOST_NAMED = 3
@@ -67,6 +75,8 @@ def recording_findings(recording: Recording, rows_together: int | None = None) -
         *_columns(possible),
         *_temperature_units(possible),
         *_displacement_units(possible),
+        *_exchanged(possible),
+        *_shortness(possible),
     ]
     return tuple(sorted(found, key=lambda finding: finding.severity != "error"))
 
@@ -109,6 +119,11 @@ def _rises(recordings: Sequence[Recording]) -> list[str]:
         f"all temperatures begin at 0, so they are rises since the start: {some if rises != recordings else every}"
     )
     return said_together([(one.name, sentence) for one in rises])
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a count with its noun, such as `1 run` and `3 runs`; plurals end with s."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def said_together(sentences: Sequence[tuple[str, str]]) -> list[str]:
@@ -154,7 +169,8 @@ def _rows(recording: Recording, rows_together: int | None) -> Iterator[Finding]:
     variables = len(recording.temperature_names)
     rows = recording.rows if rows_together is None else rows_together
     if rows <= variables:
-        sentence = f"{rows} rows cannot determine {variables} variables; record longer or choose fewer temperatures"
+        needed = f"{counted(rows, 'row')} cannot determine {counted(variables, 'variable')}"
+        sentence = f"{needed}; record longer or choose fewer temperatures"
         yield _error("", None, sentence)
         return
     time_s = recording.time_s
@@ -201,8 +217,9 @@ def _columns(recording: Recording) -> Iterator[Finding]:
             continue
         if missing.any():
             row = recording.rows_before + int(np.argmax(missing)) + 1
-            sentence = f"{missing.sum()} values are missing, the first here; rows without them are left out"
-            yield _warning(name, row, sentence)
+            many = f"{missing.sum()} values are missing, the first here; rows without them are left out"
+            one = "1 value is missing, here; the row without it is left out"
+            yield _warning(name, row, one if missing.sum() == 1 else many)
         known = column[~missing]
         if len(known) > 2 and known.min() == known.max():
             sentence = f"constant at {known[0]:g} over the whole recording; is the sensor connected?"
@@ -265,6 +282,39 @@ def _displacement_units(recording: Recording) -> Iterator[Finding]:
                 f"millimetres; say so in the map: displacement_units: {{{name!r}: mm}}. Else leave the channel out"
             )
             yield _warning(name, None, sentence)
+
+
+def _exchanged(recording: Recording) -> Iterator[Finding]:
+    """Yield a displacement that begins as the temperatures do, where one of the temperatures does not."""
+    names, degc = recording.temperature_names[: recording.sensors], recording.temperatures_degc[:, : recording.sensors]
+    if len(names) <= FEWEST_LIKE or are_rises(degc):
+        return
+    starts = np.array([column[np.isfinite(column)][:1].sum() for column in degc.T])
+    odd = int(np.argmax(np.abs(starts - np.median(starts))))
+    others = np.delete(starts, odd)
+    low, high = float(others.min()), float(others.max())
+    if max(low - starts[odd], starts[odd] - high) < UNLIKE_THE_OTHERS_K or high - low > UNLIKE_THE_OTHERS_K:
+        return
+    for name, um in zip(recording.displacement_names, recording.displacements_um.T, strict=True):
+        known = um[np.isfinite(um)]
+        as_degc = len(known) > 0 and low - LIKE_THE_OTHERS_K <= known[0] <= high + LIKE_THE_OTHERS_K
+        if as_degc and 0.0 < np.ptp(known) < HIGHEST_DEGC:
+            sentence = (
+                f"begins at what the temperatures begin at, and temperature {names[odd]} does not: are the two columns "
+                "exchanged? Look at their names in the file, or at the map"
+            )
+            yield _warning(name, None, sentence)
+
+
+def _shortness(recording: Recording) -> Iterator[Finding]:
+    span_s = float(np.ptp(recording.time_s)) if recording.rows > 1 else SHORTEST_S
+    warmed_k = max(_spans(recording.temperature_names, recording.temperatures_degc).values(), default=0.0)
+    if span_s < SHORTEST_S and warmed_k > WARMING_K:
+        sentence = (
+            f"{counted(recording.rows, 'row')} in {span_s:.3g} s, in which temperatures change by {warmed_k:.3g} K: "
+            "where the time counts minutes, hours or days, say so in the map: time_unit: min, h or d"
+        )
+        yield _warning("time", None, sentence)
 
 
 def _spans(names: tuple[str, ...], table: FloatArray) -> dict[str, float]:

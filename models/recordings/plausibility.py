@@ -15,6 +15,8 @@ USUAL_SPREAD_UM = 500.0
 """A channel whose values typically lie farther than this from their median is not in micrometres at all."""
 RISE_START_K = 0.5
 """Where every temperature begins so near to zero, rises since the start were recorded: no workshop is so cold."""
+RISES_FROM_DEGC = 20.0
+"""Rises since the start are played from here [degC]: a node that sends 0 degC is taken for one that was reset."""
 HIGHEST_RPM = 500_000.0
 """No spindle turns faster [1/min]."""
 

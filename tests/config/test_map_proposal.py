@@ -84,3 +84,18 @@ def test_a_dead_column_is_left_out_for_what_it_holds_and_not_for_its_name() -> N
     assert some.startswith("'Temp 4' is left out: row 1 holds '---', which is no number; leave the field empty there")
     assert "'Y [um]' is left out" in channel
     assert all(f"# {note}" in found.yaml() for note in found.notes)
+
+
+def test_japanese_names_and_empty_fields_at_the_end_are_understood() -> None:
+    header = ["日時", "主軸回転数", "温度1", "変位Z(μm)"]
+    found = propose_map(
+        header, [["2026/02/01 07:00:00", "0", "20.1", "1.5", ""], ["2026/02/01 07:01:30", "0", "20", "2", ""]]
+    )
+    expected = {"time": "日時", "time_format": "%Y/%m/%d %H:%M:%S", "speed": "主軸回転数", "temperatures": ["温度1"]}
+    assert found.keys == expected | {"displacements": ["変位Z(μm)"]} and found.left_out == ()
+
+
+def test_dates_as_a_spreadsheet_counts_them_are_days() -> None:
+    rows = [["45992,3125", "20,5", "1"], ["45992,313194", "20,6", "2"], ["45992,313889", "20,7", "3"]]
+    found = propose_map(["Time", "T1 (degC)", "X [um]"], rows)
+    assert found.keys["time_unit"] == "d" and any("as spreadsheets count dates" in note for note in found.notes)

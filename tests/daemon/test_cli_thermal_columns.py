@@ -271,3 +271,18 @@ def test_columns_that_a_proposed_map_leaves_out_are_named_with_what_to_do(tmp_pa
     result = thermal(*arguments, "-o", tmp_path / "m.json")
     assert result.exit_code == 0
     assert "not used, because the names do not say what they are: 'nose, front'; add what is a temp" in result.stderr
+
+
+def test_a_japanese_logger_is_understood_in_its_own_encoding(tmp_path: Path) -> None:
+    path = foreign(tmp_path / "day.csv", 1)
+    words = {"Drehzahl [1/min]": "主軸回転数", "Weg Z [µm]": "変位Z", "Uhrzeit": "時刻", "Datum": "日付"}
+    words |= {name: f"温度{number}(℃)" for number, name in enumerate(NAMES)}
+    text = path.read_text(encoding="utf-8")
+    for german, japanese in words.items():
+        text = text.replace(german, japanese)
+    path.write_text(text, encoding="cp932")
+    proposed = thermal("train", path, "-o", tmp_path / "model.json")
+    assert "encoding: cp932" in proposed.stdout and "time: 時刻" in proposed.stdout and "- 変位Z" in proposed.stdout
+    made = thermal("train", path, "--map-out", tmp_path / "m.yaml", "--model", "ridge", "-o", tmp_path / "model.json")
+    assert made.exit_code == 0, made.output
+    assert model(tmp_path / "model.json").channels == ("変位Z",)

@@ -196,6 +196,15 @@ async def test_a_machine_that_was_off_over_night_is_followed_from_its_first_refe
     await shop.end()
 
 
+async def test_an_empty_store_is_told_as_hours_that_are_not_known(tmp_path, model):
+    shop = Shop(tmp_path, model)
+    with structlog.testing.capture_logs() as logs:
+        await shop.prepare()
+    (rebuilt,) = (entry for entry in logs if entry["event"] == "states.rebuilt")
+    assert rebuilt["known_h"] == 0.0 < rebuilt["of_h"] and "filled" not in rebuilt
+    await shop.end()
+
+
 async def test_the_states_are_rebuilt_though_the_last_temperatures_cannot_be_read(tmp_path, model, monkeypatch):
     shop = Shop(tmp_path, model)
     await shop.prepare()
@@ -210,6 +219,7 @@ async def test_the_states_are_rebuilt_though_the_last_temperatures_cannot_be_rea
     with structlog.testing.capture_logs() as logs:
         await shop.prepare()
     assert [entry["event"] for entry in logs] == ["thermal.defect", "states.rebuilt"]
+    assert 0.1 < logs[1]["known_h"] < logs[1]["of_h"]
     await shop.end()
 
 

@@ -1,5 +1,6 @@
 """Releases without a person, and what the commands say."""
 
+import json
 import os
 from collections.abc import Iterator
 from dataclasses import replace
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from click.testing import CliRunner
 from control_rig import SENSOR_IDS
 from model_folder import configured, open_folder, proposal
@@ -128,3 +130,22 @@ def test_what_the_commands_cannot_do_they_say(tmp_path, words, status, said):
     finished = CliRunner().invoke(main, ["model", *words, "--config", str(path)])
     assert finished.exit_code == status, finished.output
     assert said in finished.output
+
+
+def test_a_plain_file_in_the_place_of_the_released_model_is_told_beside_what_there_is(folder):
+    configuration = configured(folder)
+    release(configuration, proposal(folder, model(), "1.json"), person="anna")
+    (path := folder / "toolpoint.yaml").write_text(
+        yaml.safe_dump(configuration.model_dump(mode="json")), encoding="utf-8"
+    )
+    model_file = configuration.compensation.model_file
+    content = model_file.read_bytes()
+    model_file.unlink()
+    model_file.write_bytes(content)
+    listed = CliRunner().invoke(main, ["model", "list", "--config", str(path)])
+    assert listed.exit_code == 2 and "release   " in listed.stdout and "anna" in listed.stdout
+    assert (
+        "is a plain file, which nobody released and nobody can go back to; move it to another folder" in listed.stderr
+    )
+    as_json = CliRunner().invoke(main, ["model", "list", "--config", str(path), "--json", "-"])
+    assert json.loads(as_json.stdout)["active"] is None and "is a plain file" in json.loads(as_json.stdout)["problem"]

@@ -14,7 +14,7 @@ from thermal_runs import run
 from daemon.cli import main
 from daemon.cli.thermal.evaluate import MODELS
 from daemon.history.series import EventRecord
-from daemon.simulation.replaying import LEAST_SHARE, WHOLE_SHARE, allowed_change_k, following
+from daemon.simulation.replaying import LEAST_SHARE, WHOLE_SHARE, allowed_change_k, following, played_otherwise
 from daemon.simulation.simulation import as_sent
 from models.recordings.dataset import Recording
 from models.records import FloatArray
@@ -89,6 +89,17 @@ def test_a_sensor_that_is_faster_than_the_default_allows_is_named_with_what_the_
     step = np.where(np.arange(8) >= 4, 40.0, 20.0)
     for harmless in (20.0 + 0.1 * np.arange(8.0), spike, step):
         assert allowed_change_k(made(harmless, 60.0), 15.0) == (1.0, "")
+
+
+def test_temperatures_that_begin_at_zero_and_are_no_rises_are_named_before_they_are_played() -> None:
+    cold = made(np.linspace(0.02, 3.0, 60), 15.0)
+    (said,) = played_otherwise(cold, cold)
+    assert "begins at 0 degC (Motor [°C])" in said and "--from-hours" in said
+    later = cold.part(20, 60)
+    assert played_otherwise(cold, later) == []
+    rises = replace(cold, temperatures_degc=cold.temperatures_degc - cold.temperatures_degc[0])
+    (said,) = played_otherwise(rises, rises.part(20, 60))
+    assert "played from 20 degC on" in said
 
 
 def test_an_output_that_followed_throughout_is_not_warned_of_and_one_without_events_never_did() -> None:

@@ -295,3 +295,36 @@ def test_units_below_the_header_and_other_encodings_are_read_as_the_map_says(tmp
     found = read_recording(written(tmp_path, content), RecordingMap.model_validate(keys | {"encoding": "cp1252"}))
     assert (found.temperature_names, found.temperatures_degc[1, 0]) == (("Öl",), 20.6)
     assert "name its encoding in the map" in refusal(tmp_path, content, RecordingMap.model_validate(keys))
+
+
+def test_empty_fields_beyond_the_header_change_nothing_and_others_are_refused(tmp_path: Path) -> None:
+    rows = [f"{line},," if n else line for n, line in enumerate(GOOD.splitlines())]
+    np.testing.assert_array_equal(read_recording(written(tmp_path, "\n".join(rows)), MAP).time_s, [0.0, 15.0])
+    assert "has 7 fields where the header has 5" in refusal(tmp_path, "\n".join(rows) + "7\n")
+
+
+def test_dates_as_a_spreadsheet_counts_them_are_days_and_never_seconds(tmp_path: Path) -> None:
+    content = "t,c1,t1\n45992.3125,0.5,20\n45992.3128472,0.75,20.5\n45992.3131944,1,21\n"
+    said = refusal(tmp_path, content, None)
+    assert (
+        said
+        == "day.csv: column t: 45992.3125 and so on are days, as spreadsheets count dates: say time_unit: d in the map"
+    )
+    days = RecordingMap(time="t", time_unit="d", temperatures=["t1"], displacements=["c1"])
+    read = read_recording(written(tmp_path, content), days)
+    np.testing.assert_allclose(read.time_s, [0.0, 30.0, 60.0], atol=0.01)
+    later = "t,c1,t1\n45992,0.5,20\n46022,0.75,20.5\n"
+    assert read_recording(written(tmp_path, later)).time_s.tolist() == [0.0, 30.0], "seconds since midnight"
+
+
+@pytest.mark.parametrize(
+    ("header", "key"),
+    [
+        (["t", "Weg Z [µm]", "Bett [°C]"], "temperatures: column 'Weg Z [µm]' is among the displacements"),
+        (["t", "Bett", "Nase (degC)"], "displacements: column 'Nase (degC)' is among the temperatures"),
+    ],
+)
+def test_a_map_that_contradicts_the_unit_in_a_name_is_refused(header: list[str], key: str) -> None:
+    with pytest.raises(ColumnError) as raised:
+        resolve_columns(RecordingMap(time="t", temperatures=[header[1]], displacements=[header[2]]), header)
+    assert str(raised.value).startswith(key)

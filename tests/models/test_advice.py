@@ -51,7 +51,9 @@ def test_one_short_run_is_told_both() -> None:
 
 def test_blocks_of_one_run_are_no_whole_runs() -> None:
     assert said(inputs(1, 180), 5)[0].startswith("no whole run"), "five blocks without spindle speed"
-    assert said(inputs(2, 180), 5)[0].startswith("2 whole run(s)")
+    assert said(inputs(2, 180), 5)[0].startswith("2 whole runs or cycles can be left out")
+    (one_more,) = said(inputs(4, 180), 4)
+    assert "record 1 more run of about 3 h, from a machine at rest" in one_more
 
 
 def test_a_channel_that_is_no_better_with_the_model_is_named_with_what_to_do() -> None:

@@ -58,7 +58,42 @@ def test_time_must_increase_and_the_row_is_named() -> None:
 
 def test_missing_values_are_a_warning_that_names_column_and_row() -> None:
     assert "column t2, row 5: 3 values are missing" in sentences(spoilt("temperatures_degc", 1, slice(4, 7), np.nan))
+    assert "row 5: 1 value is missing, here; the row" in sentences(spoilt("temperatures_degc", 1, slice(4, 5), np.nan))
     require_usable(spoilt("temperatures_degc", 1, slice(4, 7), np.nan))
+
+
+def test_a_temperature_and_a_displacement_that_are_exchanged_are_named() -> None:
+    time_s = 60.0 * np.arange(240.0)
+    warm = 1.0 - np.exp(-time_s / 3600.0)
+    degc = 21.0 + warm[:, None] * np.array([6.0, 9.0, 4.0, 7.0])
+    um = (40.0 + 90.0 * warm)[:, None]
+    right = Recording(
+        name="day.csv",
+        time_s=time_s,
+        speed_rpm=None,
+        temperature_names=("t1", "t2", "t3", "t4"),
+        temperatures_degc=degc,
+        displacement_names=("Z1",),
+        displacements_um=um,
+    )
+    assert recording_findings(right) == ()
+    exchanged = replace(
+        right, temperatures_degc=np.hstack([degc[:, :1], um, degc[:, 2:]]), displacements_um=degc[:, 1:2]
+    )
+    (found,) = recording_findings(exchanged)
+    assert (
+        found.column == "Z1"
+        and "temperature t2 does not" in found.sentence
+        and "are the two columns exchanged?" in found.sentence
+    )
+
+
+def test_a_time_that_is_not_in_seconds_is_told_by_how_short_the_recording_is() -> None:
+    whole = recording()
+    warm = whole.temperatures_degc + np.linspace(0.0, 5.0, whole.rows)[:, None]
+    assert "time_unit" not in sentences(replace(whole, temperatures_degc=warm))
+    hours = replace(whole, temperatures_degc=warm, time_s=whole.time_s / 3600.0)
+    assert "say so in the map: time_unit: min, h or d" in sentences(hours)
 
 
 def test_an_empty_column_is_refused() -> None:

@@ -125,17 +125,22 @@ def list_command(bearings: bool, config_path: Path, json_path: str | None) -> No
     from daemon.model_release.repository import ReleaseError
 
     configuration = read_configuration(config_path)
+    active, problem = None, ""
     try:
         repository = _kind(bearings).repository(configuration)
-        active = repository.active()
     except (ReleaseError, OSError) as error:
         refuse(str(error))
+    try:
+        active = repository.active()
+    except (ReleaseError, OSError) as error:
+        problem = str(error)
     records, waiting = repository.records(), () if bearings else proposals(configuration)
     number = active.number if active is not None else None
     write_json(
         json_path,
         {
             "active": number,
+            "problem": problem,
             "releases": [record.model_dump(mode="json") for record in records],
             "proposals": [
                 {"path": str(p.path), "model_id": p.model_id, "sha256": p.sha256, "inhibit": p.inhibit}
@@ -144,22 +149,22 @@ def list_command(bearings: bool, config_path: Path, json_path: str | None) -> No
             ],
         },
     )
-    if json_path is not None:
-        return
-    for record in records:
+    for record in records if json_path is None else ():
         mark = "*" if record.number == number else " "
         click.echo(
             f"{mark} {record.number:4d}  {record.released}  {record.action:8}  {record.model_id}  "
             f"{record.sha256[:12]}  {record.person}  {record.note}".rstrip()
         )
-    if not records:
+    if not records and json_path is None:
         click.echo("no model has been released")
-    if not bearings and (hidden := why_proposals_are_hidden(configuration)):
+    if json_path is None and not bearings and (hidden := why_proposals_are_hidden(configuration)):
         say(hidden)
-    for proposal in waiting:
+    for proposal in waiting if json_path is None else ():
         click.echo(
             f"  waits  {proposal.path}: {proposal.model_id}  {proposal.sha256[:12]}  {proposal.inhibit}".rstrip()
         )
+    if problem:
+        refuse(problem)
 
 
 @model.command()
@@ -224,12 +229,16 @@ def drift(config_path: Path, last_s: float, bound: float | None, json_path: str 
         raise SystemExit(REFUSED)
 
 
+def _weeks(count: int) -> str:
+    return "1 week is" if count == 1 else f"{count} weeks are"
+
+
 def _drift_in_words(found: dict[str, Any]) -> str:
     """Return one axis and model in a line."""
     what = f"{found['values']} {'probe values' if found['source'] == 'probe' else 'minutes of displacements'}"
     head, told = f"axis {found['axis']}, model {found['model_id']}: {what}", found["drift"]
     if told is None:
-        return f"{head}; {len(found['weeks'])} weeks are too few"
+        return f"{head}; {_weeks(len(found['weeks']))} too few"
     low, high = (100.0 * each for each in told["share_interval"])
     until = told["until_bound_d"]
     ahead = "does not come nearer" if until is None else f"is reached in {until:.0f} d" if until else "is passed"

@@ -34,6 +34,7 @@ from daemon.simulation.replaying import (
     map_of,
     modelled,
     not_enabled,
+    played_otherwise,
     played_positions,
     played_utc_s,
     playing_time_s,
@@ -90,7 +91,7 @@ def replay(
         hours = from_hours or 0.0, min(to_hours if to_hours is not None else last_h, last_h)
         part = table.between_hours(*hours)
         whole, part = part.displacement_names, modelled(model_path, part)
-        said = []
+        said = played_otherwise(table, part)
         if unplayed := [name for name in whole if name not in part.displacement_names]:
             names = ", ".join(unplayed)
             said.append(f"not played, because the model does not estimate it, or it is a slope [um/m]: {names}")

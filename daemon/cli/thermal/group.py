@@ -226,6 +226,7 @@ def _chosen_without(chosen: dict[str, Any] | None, remains: float) -> str:
 def _show(found: dict[str, Any]) -> None:
     """Write the outcome for people, on standard error."""
     from daemon.workbench.thermal.shortfalls import columns_sentences
+    from models.recordings.findings import counted
 
     for warning in found["warnings"][:MOST_WARNINGS]:
         say(f"warning: {warning}")
@@ -238,7 +239,7 @@ def _show(found: dict[str, Any]) -> None:
     model, held_out = found["model"], found["held_out"]
     used = f", {found['increments']['used']} increments" if "increments" in found else ""
     chosen = settings_text(found["hyper_parameters"])
-    say(f"{model['file']}: {model['model_id']}, {model['sensors']} sensors{used}, {chosen}")
+    say(f"{model['file']}: {model['model_id']}, {counted(model['sensors'], 'sensor')}{used}, {chosen}")
     if found["chosen"] is not None:
         say(f"chosen: {found['chosen']['family']}; {found['chosen']['why']}")
     if found["recordings_left_out"]:

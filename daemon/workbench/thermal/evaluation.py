@@ -22,7 +22,7 @@ from daemon.workbench.thermal.shortfalls import (
 from models.control.probing import BiasFilter
 from models.json_values import finite_or_none
 from models.recordings.dataset import DatasetError, Recording
-from models.recordings.findings import usable_recordings
+from models.recordings.findings import counted, usable_recordings
 from models.records import FloatArray
 from models.thermal.family import ThermalModel
 from models.thermal.features import BoolArray
@@ -164,8 +164,8 @@ def _parts(inputs: Inputs, protocol: Protocol) -> list[_Part]:
         found = cycles(inputs, trained)
         if len(found) < 3:
             raise DatasetError(
-                f"{inputs.recording_names[0]}: {len(found)} cycle(s) from one start of the spindle to the next; "
-                "to leave one out takes at least 3, so record more, or choose hours for training and test"
+                f"{inputs.recording_names[0]}: {counted(len(found), 'cycle')} from one start of the spindle to the "
+                "next; to leave one out takes at least 3, so record more, or choose hours for training and test"
             )
         return [_Part(name=f"cycle {i}", train=trained & ~mask, test=mask) for i, mask in enumerate(found, start=1)]
     if protocol.leave_out == "runs":

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from config.recordings.map_proposal import MapProposal, propose_map
+from config.recordings.map_proposal import JAPANESE, MapProposal, propose_map
 from config.recordings.recording_map import ColumnError, RecordingMap, matching_names, of_displacements, usual_map
 from drivers.files.recording_csv import EncodingError, read_beginning, read_recording
 from models.recordings.dataset import DatasetError, Recording
@@ -15,7 +15,8 @@ from models.thermal.training.inputs import with_sensors
 Progress = Callable[[str, int, int], None]
 LOOKED_AT = 200
 """So many rows of a recording tell how its fields are written."""
-ENCODINGS = ("utf-8", "utf-16", "cp1252")
+ENCODINGS = ("utf-8", "utf-16", "cp932", "cp1252")
+"""Tried one after the other; anything may be read as one of the last two, so cp932 has to show words."""
 KINDS = ("temperatures", "axis_positions", "displacements")
 MOST_NAMED = 12
 
@@ -151,7 +152,8 @@ def proposal(path: Path) -> tuple[MapProposal, bool]:
     for encoding in ENCODINGS:
         try:
             header, rows = read_beginning(path, LOOKED_AT, encoding)
-            break
+            if encoding != "cp932" or any(word in name for name in header for word in JAPANESE):
+                break
         except EncodingError:
             if encoding == ENCODINGS[-1]:
                 raise

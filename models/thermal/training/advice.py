@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from models.recordings.findings import counted
 from models.recordings.jumps import scatter_um
 from models.thermal.features import BoolArray
 from models.thermal.training.evaluation import ResidualMetrics
@@ -36,9 +37,10 @@ def advice(inputs: Inputs, rows: BoolArray, independent: int) -> tuple[str, ...]
     if independent < ENOUGH:
         hours = max(2.0, np.ceil(longest_min / 60.0)) if len(spans_min) > 1 else 4.0
         found.append(
-            f"{independent or 'no'} whole run(s) or cycle(s) can be left out, which tells families and sensors apart "
-            f"badly: record {_more_runs(ENOUGH - independent)} of about {hours:.0f} h, each from a machine at rest, "
-            "half of the time warming at another speed than before and half standing still"
+            f"{independent or 'no'} whole {'runs or cycles' if independent > 1 else 'run or cycle'} can be left out, "
+            f"which tells families and sensors apart badly: record {_more_runs(ENOUGH - independent)} of about "
+            f"{hours:.0f} h, {'each ' * (ENOUGH - independent > 1)}from a machine at rest, half of the time warming at "
+            "another speed than before and half standing still"
         )
     if longest_min < SHORT_RUN_MIN:
         found.append(
@@ -67,7 +69,7 @@ def _whole(inputs: Inputs, rows: BoolArray, independent: int) -> int:
 
 
 def _more_runs(count: int) -> str:
-    return f"{count} more run{'s' * (count > 1)}"
+    return counted(count, "more run")
 
 
 def worse_channels(held_out: ResidualMetrics | None, explained: Sequence[str] = ()) -> tuple[str, ...]:
@@ -103,5 +105,6 @@ def indistinct(chosen: str, relative_rmse: Mapping[str, float], independent: int
     return (
         f"these recordings cannot tell {', '.join(map(repr, [chosen, *same]))} apart, which leave the same of the "
         f"left-out error within {SAME:.1%}; {chosen!r} was taken. To tell them apart record "
-        f"{_more_runs(TELLS_APART - independent)}, each at speeds and with pauses that no run has had yet",
+        f"{_more_runs(TELLS_APART - independent)}{', each' * (TELLS_APART - independent > 1)} at speeds and with "
+        "pauses that no run has had yet",
     )

@@ -221,7 +221,9 @@ def averaged_recordings(recordings: Sequence[Recording], sample_s: float) -> lis
     if averaged and left < before and left <= len(averaged[0].temperature_names):
         raise DatasetError(
             f"{recordings[0].name}: averaged to sample_s {sample_s:g} s, {left} of {before} rows remain, too few for "
-            f"{len(averaged[0].temperature_names)} temperatures; lower sample_s in the map"
+            f"{len(averaged[0].temperature_names)} temperatures: the recordings last "
+            f"{sum(float(np.ptp(r.time_s)) for r in recordings):.3g} s in all. Where the time counts minutes, hours or "
+            "days, say so in the map (time_unit: min, h or d); else lower sample_s in the map"
         )
     return averaged
 

@@ -24,6 +24,8 @@ FEWEST_OTHERS = 2
 """So many other folds must be left when one is left out: of two that differ, nobody knows which is wrong."""
 BETTER = 0.8
 """Without what does not go with the others, no more than this share of what was left of the error may remain."""
+GOOD_SHARE = 0.05
+"""Where no more of the error remains with everything in training, a change is not worth a word."""
 MOST_LATER_FITS = 6
 """A change is proved on no more than so many of the recordings after it."""
 
@@ -114,7 +116,7 @@ def _without(
 
 
 def change_of_regime(inputs: Inputs, rows: BoolArray, fold: IntArray, problem: Problem) -> Change | None:
-    """Return from which recording on the machine behaves otherwise, None where it does not.
+    """Return from which recording on the machine behaves otherwise, None where it does not or it does not matter.
 
     What is recent must predict what is recent better than everything together does. Parameters as for
     `contradictions`.
@@ -132,7 +134,7 @@ def change_of_regime(inputs: Inputs, rows: BoolArray, fold: IntArray, problem: P
         remains = relative_rmse(inputs, rows, fold, everything), relative_rmse(inputs, rows, fold, recent)
     except DatasetError:
         return None
-    if not remains[1] <= BETTER * remains[0]:
+    if remains[0] <= GOOD_SHARE or not remains[1] <= BETTER * remains[0]:
         return None
     first = int(inputs.recording[np.flatnonzero(rows & (fold == numbers[place]))[0]])
     return Change(recording=first, remains=remains) if first > 0 else None

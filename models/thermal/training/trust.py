@@ -7,6 +7,7 @@ import numpy as np
 
 from models.control.probing import BiasFilter
 from models.recordings.dataset import DatasetError
+from models.recordings.findings import counted
 from models.recordings.jumps import scatter_um
 from models.records import FloatArray
 from models.thermal.features import BoolArray, IntArray
@@ -134,7 +135,8 @@ def _reason(inputs: Inputs, rows: BoolArray, score: float, skill: list[float]) -
     seen = excursions(inputs, rows)
     if seen < FEWEST_EXCURSIONS and runs < FEWEST_RUNS:
         return (
-            f"training saw {seen} excursion(s) of more than {EXCURSION_SHARE:.0%} of the span in {runs} run(s); "
+            f"training saw {counted(seen, 'excursion')} of more than {EXCURSION_SHARE:.0%} of the span in "
+            f"{counted(runs, 'run')}; "
             f"{FEWEST_EXCURSIONS} alternating ones or {FEWEST_RUNS} separate runs are needed: record {FEWEST_RUNS} "
             "runs of about 4 h, each warming for half of the time and then cooling"
         )
