@@ -37,6 +37,8 @@ FEWEST_LIKE = 3
 """So many other temperatures say what temperatures are like."""
 SHORTEST_S = 900.0
 """In less time nothing warms by much: a time that is not in seconds is more likely [s]."""
+FASTEST_S = 0.5
+"""Hardly any logger writes temperatures more often [s]: then, too."""
 CLOCK_CHANGE_S = 3600.0
 """So far a wall clock jumps in spring [s]."""
 MOST_NAMED = 3
@@ -307,9 +309,10 @@ def _exchanged(recording: Recording) -> Iterator[Finding]:
 
 
 def _shortness(recording: Recording) -> Iterator[Finding]:
+    """Yield a time that is hardly in seconds: too little of it for the warming, or rows that follow too fast."""
     span_s = float(np.ptp(recording.time_s)) if recording.rows > 1 else SHORTEST_S
     warmed_k = max(_spans(recording.temperature_names, recording.temperatures_degc).values(), default=0.0)
-    if span_s < SHORTEST_S and warmed_k > WARMING_K:
+    if (span_s < SHORTEST_S and warmed_k > WARMING_K) or recording.sample_s < FASTEST_S:
         sentence = (
             f"{counted(recording.rows, 'row')} in {span_s:.3g} s, in which temperatures change by {warmed_k:.3g} K: "
             "where the time counts minutes, hours or days, say so in the map: time_unit: min, h or d"

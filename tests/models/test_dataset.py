@@ -94,6 +94,10 @@ def test_a_time_that_is_not_in_seconds_is_told_by_how_short_the_recording_is() -
     assert "time_unit" not in sentences(replace(whole, temperatures_degc=warm))
     hours = replace(whole, temperatures_degc=warm, time_s=whole.time_s / 3600.0)
     assert "say so in the map: time_unit: min, h or d" in sentences(hours)
+    long = recording(4000, period_s=15.0)
+    assert "time_unit" not in sentences(long)
+    minutes = replace(long, time_s=long.time_s / 60.0)
+    assert "4000 rows in 1e+03 s" in sentences(minutes) and "time_unit: min, h or d" in sentences(minutes)
 
 
 def test_an_empty_column_is_refused() -> None:
