@@ -21,6 +21,8 @@ _SPEED = re.compile(r"rpm|1/min|min-1|min\^-1|u/min|r/min|drehzahl|spindle.?spee
 _DEGC = re.compile(r"°\s*c\b|deg\s*_?c\b|℃|\[c\]|\(c\)|celsius|grad c")
 _UM = re.compile(r"[µμ]m|\bum\b|_um$|micron|micromet")
 _MM = re.compile(r"\bmm\b|_mm$")
+_WITH_MM = re.compile(r"[\s_]*[\[(]?\s*\bmm\b\s*[\])]?|_mm$")
+"""What the name of a channel loses: the map turns it into micrometres."""
 _MOVES = re.compile(r"変位|displace|verlagerung|deviation|thermal.?error|\bweg\b|probe|^d[xyz]|^e[xyz]")
 """Beside millimetres a displacement says so; an axis position is in millimetres, too."""
 _OTHER_UNIT = re.compile(
@@ -91,6 +93,10 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
             keys[kind] = found
     if in_mm := [name for name in keys.get("displacements", ()) if _MM.search(described[name])]:
         keys["displacement_units"] = dict.fromkeys(in_mm, "mm")
+        named = {name: _WITH_MM.sub("", name).strip() for name in in_mm}
+        fitting = {name: channel for name, channel in named.items() if channel and channel not in header}
+        if fitting and len(set(named.values())) == len(named):
+            keys["displacement_names"] = fitting
     if any("," in text for name in numbers for text in columns[name]):
         keys["decimal"] = ","
     keys |= {"encoding": encoding} if encoding != "utf-8" else {}

@@ -74,7 +74,7 @@ def recording_findings(recording: Recording, rows_together: int | None = None) -
     found = [
         *_rows(recording, rows_together),
         *_impossible(recording),
-        *_columns(possible),
+        *_columns(possible, recording),
         *_temperature_units(possible),
         *_displacement_units(possible),
         *_exchanged(possible),
@@ -203,25 +203,27 @@ def _impossible(recording: Recording) -> Iterator[Finding]:
             yield _warning(names[column], recording.rows_before + row + 1, sentence)
 
 
-def _columns(recording: Recording) -> Iterator[Finding]:
+def _columns(recording: Recording, read: Recording) -> Iterator[Finding]:
+    """Yield what is wrong with columns; `read`: with the impossible values, of which `_impossible` tells."""
     speed_rpm = recording.speed_rpm
     if speed_rpm is not None and len(speed_rpm) and not np.isfinite(speed_rpm).any():
         sentence = "no value at all, which is not standstill; take the column out of the file or of the map"
         yield _error("spindle speed", None, sentence)
     columns = [
-        *zip(recording.temperature_names, recording.temperatures_degc.T, strict=True),
-        *zip(recording.displacement_names, recording.displacements_um.T, strict=True),
+        *zip(recording.temperature_names, recording.temperatures_degc.T, read.temperatures_degc.T, strict=True),
+        *zip(recording.displacement_names, recording.displacements_um.T, read.displacements_um.T, strict=True),
     ]
-    for name, column in columns:
+    for name, column, as_read in columns:
         missing = ~np.isfinite(column)
         if not len(column) or missing.all():
             yield _error(name, None, "no value at all; take the column out of the map, or leave this recording out")
             continue
-        if missing.any():
-            row = recording.rows_before + int(np.argmax(missing)) + 1
-            many = f"{missing.sum()} values are missing, the first here; rows without them are left out"
+        empty = ~np.isfinite(as_read)
+        if empty.any():
+            row = recording.rows_before + int(np.argmax(empty)) + 1
+            many = f"{empty.sum()} values are missing, the first here; rows without them are left out"
             one = "1 value is missing, here; the row without it is left out"
-            yield _warning(name, row, one if missing.sum() == 1 else many)
+            yield _warning(name, row, one if empty.sum() == 1 else many)
         known = column[~missing]
         if len(known) > 2 and known.min() == known.max():
             sentence = f"constant at {known[0]:g} over the whole recording; is the sensor connected?"

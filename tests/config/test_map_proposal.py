@@ -63,6 +63,9 @@ def test_a_displacement_in_millimetres_says_so_and_an_axis_position_is_none() ->
     assert found.left_out == ("X [mm]",)
     columns = resolve_columns(found.recording_map, header)
     assert (columns.displacements, columns.um_per_unit) == ([2, 3, 5], [1000.0, 1000.0, 1.0])
+    assert columns.channels == ["Verlagerung Z", "dx", "Y [um]"], "figures of a channel are in micrometres"
+    both = propose_map(["time_s", "T1", "dx [mm]", "dx (mm)"], rows("0", "1", fields=4))
+    assert "displacement_names" not in both.keys
 
 
 def test_what_no_name_tells_is_lacking_and_never_guessed() -> None:

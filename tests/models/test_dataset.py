@@ -154,6 +154,7 @@ def test_a_single_impossible_temperature_is_named_and_counts_as_missing(value: f
     assert np.isfinite(bad.without_impossible().temperatures_degc).sum() == bad.temperatures_degc.size - 1
     several = spoilt("temperatures_degc", 1, slice(10, 30), value)
     assert f"row 11: {value:.6g} degC cannot be (20 such values, the first here)" in sentences(several)
+    assert len(recording_findings(several)) == 1, "it is said once"
 
 
 def test_single_impossible_displacements_and_speeds_are_named_and_count_as_missing() -> None:
