@@ -59,6 +59,20 @@ class Bend:
         if not 0.0 <= self.variance < np.inf:
             raise ModelError("mixture.bends", f"variance {self.variance} must be finite and not negative")
 
+    def without(self, linear: Solution, sensors: Sequence[int]) -> "Bend":
+        """Return what bends of the process whose linear part does without some sensors.
+
+        With the columns X_S taken out of the covariance of the rows their weights ``K^-1 y`` become
+        ``K^-1 y + K^-1 X_S Q[S, S]^-1 w[S]``: what bends takes over a part of what the sensors stood for.
+
+        `linear`: the linear part. `sensors`: indices from 0, with all their lags.
+        """
+        if not len(sensors) or linear.directions is None:
+            return self
+        out, _, worth = linear.eliminated(sensors)
+        taken = self.linear_points @ (linear.directions[out].T @ worth)
+        return replace(self, weights_um=self.weights_um + self.variance * (self.root @ (self.root.T @ taken)))
+
     def similarity(self, features: FloatArray) -> FloatArray:
         """Return the squared-exponential kernel between features and the training rows, shape (n, m)."""
         at = features @ self.coordinates
@@ -113,6 +127,11 @@ class Mixture:
         """Return the coefficients of the linear parts together, see `Solution.coefficients`."""
         counted = [(share, one) for share, one in zip(self.shares, solutions, strict=True) if share > 0.0]
         return np.asarray(np.sum([share * one.coefficients(without, beside) for share, one in counted], axis=0))
+
+    def without(self, solutions: Sequence[Solution], sensors: Sequence[int]) -> "Mixture":
+        """Return the mixture of the fits without some sensors (indices from 0), see `Bend.without`."""
+        pairs = zip(self.bends, solutions, strict=False)
+        return replace(self, bends=tuple(bend.without(linear, sensors) for bend, linear in pairs))
 
     def bent_um(
         self,
@@ -201,14 +220,14 @@ class GaussianEstimator(LinearEstimator):
 
     def __init__(self, model: LinearParameters, components: Sequence[str] = (), steps_k: Sequence[float] = ()) -> None:
         super().__init__(model, components, steps_k)
-        self._far: tuple[tuple[int, ...], FloatArray] | None = None
+        self._latest: tuple[tuple[int, ...], FloatArray, Mixture] | None = None
 
-    def _far_coefficients(self, model: GaussianModel, out: tuple[int, ...]) -> FloatArray:
-        """Return the coefficients of the ridge that counts far out, of the latest set of sensors left out."""
-        if self._far is None or self._far[0] != out:
-            ridge = model.solutions[model.mixture.outside]
-            self._far = out, ridge.coefficients(out, self.left_out.beside)
-        return self._far[1]
+    def _of(self, model: GaussianModel, out: tuple[int, ...]) -> tuple[FloatArray, Mixture]:
+        """Return the ridge that counts far out and the mixture, of the latest set of sensors left out."""
+        if self._latest is None or self._latest[0] != out:
+            far = model.solutions[model.mixture.outside].coefficients(out, self.left_out.beside)
+            self._latest = out, far, model.mixture.without(model.solutions, out)
+        return self._latest[1:]
 
     def estimate(self, state: ModelState, reference: ModelState) -> Estimation | None:
         """Return the thermal error since the reference, see `LinearEstimator.estimate`."""
@@ -218,10 +237,11 @@ class GaussianEstimator(LinearEstimator):
         assert isinstance(self.model, GaussianModel)
         model, out = self.model, tuple(self.model.sensor_ids.index(each) for each in found.imputed)
         now, then = self.features(state), self.features(reference)
-        far_um = (now - then) @ self._far_coefficients(model, out)
+        far, mixture = self._of(model, out)
+        far_um = (now - then) @ far
         both = self.left_out.imputed(np.stack([now, then]) - model.centre, out)
         linear_um = found.thermal_error_um[None]
-        bent_um = model.mixture.bent_um(model.solutions, both[:1], both[1], linear_um, far_um[None])
+        bent_um = mixture.bent_um(model.solutions, both[:1], both[1], linear_um, far_um[None])
         return replace(found, thermal_error_um=bent_um[0])
 
 

@@ -82,11 +82,21 @@ class Solution:
             full = canonical(weights * self.gain[:, None], self.layout, self.design)
             return np.asarray(self._means(without, beside).T @ full)
         if len(without):
-            out = self.layout.of_sensors(without)
-            to_out = self._inverse(out)
-            weights = weights - to_out @ np.linalg.solve(to_out[out], weights[out])
+            out, to_out, worth = self.eliminated(without)
+            weights = weights - to_out @ worth
             weights[out] = 0.0
         return canonical(weights * self.gain[:, None], self.layout, self.design)
+
+    def eliminated(self, without: Sequence[int]) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Return what leaving sensors out of a ridge takes, see `coefficients`.
+
+        Result: the columns S, ``Q[:, S]``, and ``Q[S, S]^-1 w[S]`` of shape (len(S), n_channels) [um].
+
+        `without`: indices of the sensors, from 0, with all their lags.
+        """
+        out = self.layout.of_sensors(without)
+        to_out = self._inverse(out)
+        return out, to_out, np.asarray(np.linalg.solve(to_out[out], self.weights[out]))
 
     def lost_share(self, without: Sequence[int]) -> float:
         """Return how much of the variance that a ridge explains in training it loses without some sensors, 0..1.
@@ -103,12 +113,8 @@ class Solution:
 
     def _lost(self, without: Sequence[int]) -> FloatArray:
         """Return ``w[S]^T Q[S, S]^-1 w[S]`` of each channel, Q but for the same factor as in `leverage`."""
-        out = self.layout.of_sensors(without)
-        out = out[self.gain[out] > 0.0]
-        removed = self.weights[out]
-        if not len(out):
-            return np.zeros(removed.shape[1])
-        return np.asarray((removed * np.linalg.solve(self._inverse(out)[out], removed)).sum(axis=0))
+        out, _, worth = self.eliminated(without)
+        return np.asarray((self.weights[out] * worth).sum(axis=0))
 
     def imputed_variance(self, without: Sequence[int]) -> FloatArray:
         """Return how far what a ridge takes some sensors for may be off: variance over leverage, shape (n_channels,).

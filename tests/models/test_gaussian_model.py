@@ -12,7 +12,9 @@ from models.thermal.estimation import Machine
 from models.thermal.family import model_from_json
 from models.thermal.features import lag_table
 from models.thermal.gaussian import GaussianEstimator, GaussianModel
+from models.thermal.training.gaussian_member import Piece, gaussian_fit
 from models.thermal.training.train_family import FamilyTraining, train_family
+from models.thermal.watch import SensorFault
 
 SENSORS, MINUTES = 5, 150
 
@@ -101,6 +103,23 @@ def test_without_a_sensor_its_values_do_not_count_and_the_rest_goes_on(model: Ga
     np.testing.assert_allclose(again.thermal_error_um, found.thermal_error_um, atol=1e-4)
     measured = of.displacements_um[99] - of.displacements_um[0]
     assert np.abs(found.thermal_error_um - measured).max() < 4.0
+
+
+def test_on_line_a_sensor_is_left_out_as_in_the_evaluation(model: GaussianModel) -> None:
+    of, estimator, count = run(9), GaussianEstimator(model), len(model.mixture.bends)
+    reference = state = estimator.begin(0.0, of.temperatures_degc[0], float(of.speed_rpm[0]))
+    for row in range(1, 100):
+        degc = of.temperatures_degc[row]
+        state = estimator.advance(state, float(row), degc, float(of.speed_rpm[row]), find_faults=False)
+    lost = replace(state, watch=replace(state.watch, faults=(SensorFault(sensor=2, time_min=99.0, sign="flat"),)))
+    found = estimator.estimate(lost, reference)
+    assert found is not None and found.imputed == (model.sensor_ids[2],)
+    pieces = [Piece(solution=one, bend=bend) for one, bend in zip(model.solutions, model.mixture.bends, strict=False)]
+    ridges, shares = list(model.solutions[count:]), model.mixture.shares.tolist()
+    far, limit = model.solutions[model.mixture.outside], model.mixture.deviation_limit
+    fit = gaussian_fit(pieces, ridges, model.centre, shares, far, limit).refit((2,))
+    wanted_um = fit.estimate_um(estimator.features(state), estimator.features(reference), 99.0)
+    np.testing.assert_allclose(found.thermal_error_um, wanted_um, atol=1e-3)
 
 
 def test_far_out_the_ridge_alone_counts(model: GaussianModel) -> None:

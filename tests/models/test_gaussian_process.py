@@ -8,6 +8,9 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, DotProduct, Kernel, Matern
 
 from models.records import FloatArray
+from models.thermal.features import Design, Layout
+from models.thermal.gaussian import Bend
+from models.thermal.solution import Solution
 from models.thermal.training.gaussian_process import (
     RUN_VARIANCE,
     GaussianProcess,
@@ -142,6 +145,33 @@ def test_a_whole_root_is_one_of_the_inverse_and_a_part_of_it_makes_no_deviation_
     np.testing.assert_allclose(whole @ whole.T, posterior.inverse, atol=1e-8)
     shared = posterior.columns @ posterior.columns.T
     assert np.all(np.square(shared @ part).sum(axis=1) <= np.square(shared @ whole).sum(axis=1) + 1e-9)
+
+
+def test_what_bends_follows_when_a_sensor_is_left_out(rows: Rows) -> None:
+    posterior = GaussianProcess(rows).posterior(LOGARITHMS, np.arange(60))
+    directions, remaining = posterior.directions(most=100, least=1e-12)
+    linear = Solution(
+        layout=Layout(sensors=9, lags_min=(), speed_lags_min=()),
+        design=Design(departures=False, correlation_min=None),
+        gain=np.ones(9),
+        weights=posterior.linear,
+        directions=directions,
+        remaining=remaining,
+    )
+    bend = Bend(
+        coordinates=np.eye(9)[:, :COORDINATES],
+        points=posterior.coordinates / posterior.length,
+        weights_um=posterior.variance * posterior.weights,
+        variance=posterior.variance,
+        linear_points=posterior.columns @ directions,
+        root=posterior.root(60),
+    )
+    others = np.delete(posterior.columns, [1, 8], axis=1)
+    covariance = posterior.without_linear + others @ others.T
+    weights = np.linalg.solve(covariance, rows.values)
+    np.testing.assert_allclose(bend.without(linear, (1, 8)).weights_um, posterior.variance * weights, atol=1e-8)
+    np.testing.assert_allclose(np.delete(linear.coefficients((1, 8)), [1, 8], axis=0), others.T @ weights, atol=1e-8)
+    assert bend.without(linear, ()) is bend
 
 
 def test_principal_coordinates_are_the_same_with_more_rows_than_columns_and_with_fewer() -> None:

@@ -222,7 +222,7 @@ def gaussian_fit(
             pieces, ridges, centre, shares, far, deviation_limit, tuple(sorted({*without, *sensors}))
         ),
         solutions=tuple(solutions),
-        mixture=mixture,
+        mixture=mixture.without(solutions, without),
         centre=centre,
         without=without,
     )
