@@ -284,6 +284,20 @@ def test_an_answer_of_a_mail_server_that_does_not_end_is_not_kept() -> None:
         peer.close()
 
 
+def greets_only(connection: socket.socket) -> None:
+    connection.sendall(b"220 good morning\r\n")
+    hangs(connection)
+    hangs(connection)
+
+
+def test_a_mail_server_that_greets_and_says_no_more_has_not_ended_the_connection() -> None:
+    peer = Peer(greets_only)
+    try:
+        assert "no answer (timed out): check `host`" in refusal(mail_sink(peer.port, timeout_s=0.3))
+    finally:
+        peer.close()
+
+
 def test_nobody_there_and_no_such_name() -> None:
     with socket.create_server(("127.0.0.1", 0)) as nobody:
         port = nobody.getsockname()[1]

@@ -139,6 +139,8 @@ def _refusal(error: Exception, password: str) -> str:
             return f"no encryption ({error.reason or 'broken off'}): check `encryption` and `port`"
         case TimeoutError():
             return f"no answer ({answer(error) or 'timed out'}): check `host`, `port`, `encryption` and the network"
+        case smtplib.SMTPServerDisconnected() if str(error).endswith("timed out"):  # as the library names silence
+            return _refusal(TimeoutError(), password)
         case smtplib.SMTPServerDisconnected():
             return f"it ended the connection ({answer(error, *hidden)}): check `port` and `encryption`"
         case socket.gaierror():
