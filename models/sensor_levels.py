@@ -3,7 +3,8 @@
 A sensor that was away is expected to have gone on as before, but for what those beside it did otherwise. One that
 its own past explains counts as before. One at another level is another sensor, or it is wrong: its distance is taken
 off from then on (`shift_k`), and when it jumps back the shift is undone. Where neither past nor neighbours prove a
-level, `uncertainty_k` says by how much it may be wrong until the next reference.
+level, `uncertainty_k` says by how much it may be wrong until the next reference. `jumps` says which sensors have jumped
+although they were heard all the time: what remembers the past is to remember it at their level of now.
 """
 
 from collections.abc import Mapping
@@ -30,9 +31,12 @@ MOMENT_S = 10.0
 """Moments that are kept lie so far apart [s]."""
 CHANGES_KEPT = 200
 """So many changes of shifts are kept."""
+GAPS_KEPT = 20
 
 Changes = tuple[tuple[float, int, float], ...]
 """Time [s], index of a sensor, and its shift before that [K]."""
+Gaps = tuple[tuple[float, float, tuple[int, ...]], ...]
+"""Begin and end [s], and the indices of sensors."""
 BoolArray = npt.NDArray[np.bool_]
 GroupArray = npt.NDArray[np.intp]
 
@@ -64,6 +68,10 @@ class SensorLevels:
     """Time [s] and `degc` of the last moments, oldest first."""
     changes: Changes = ()
     """How shifts have changed, oldest first."""
+    jumps: Changes = ()
+    """Time [s], index of a sensor, and by how much it counts at another level since [K], oldest first."""
+    gaps: Gaps = ()
+    """Times within which what sensors were read as says nothing, oldest first."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -140,8 +148,10 @@ def renewed_levels(levels: SensorLevels, group: GroupArray, seen: BelievedValues
     return replace(levels, recent=(*kept, (seen.now_s, degc)))
 
 
-def unshifted(levels: SensorLevels, time_s: float, degc: FloatArray) -> FloatArray:
-    """Return temperatures of a time in the past [degC] without the shifts of then.
+def unshifted(levels: SensorLevels, time_s: float, degc: FloatArray, until_s: float = np.inf) -> FloatArray:
+    """Return temperatures of a time in the past [degC] without the shifts of then, at the levels of a later time.
+
+    What a sensor was read as within a gap is NaN.
 
     Parameters
     ----------
@@ -151,6 +161,8 @@ def unshifted(levels: SensorLevels, time_s: float, degc: FloatArray) -> FloatArr
         On the clock of the cycles [s].
     degc : shape (n_sensors,)
         As they were read [degC].
+    until_s
+        The later time: what has jumped until then is told as if it had always been there [s].
 
     """
     shift_k = levels.shift_k
@@ -159,7 +171,36 @@ def unshifted(levels: SensorLevels, time_s: float, degc: FloatArray) -> FloatArr
         for changed_s, index, before_k in reversed(levels.changes):
             if changed_s > time_s:
                 shift_k[index] = before_k
+    if levels.jumps:
+        shift_k = shift_k.copy()
+        for jumped_s, index, jump_k in levels.jumps:
+            shift_k[index] -= jump_k if time_s < jumped_s <= until_s else 0.0
+    if inside := [index for from_s, to_s, sensors in levels.gaps for index in sensors if from_s < time_s <= to_s]:
+        shift_k = shift_k.copy()
+        shift_k[inside] = np.nan
     return degc - shift_k
+
+
+def with_gap(levels: SensorLevels, from_s: float, to_s: float, sensors: GroupArray) -> SensorLevels:
+    """Return the levels when nothing is known of sensors (indices) between two times [s]."""
+    return replace(levels, gaps=(*levels.gaps, (from_s, to_s, tuple(sensors.tolist())))[-GAPS_KEPT:])
+
+
+def jumped_k(before: SensorLevels, now: SensorLevels) -> FloatArray | None:
+    """Return by how much sensors have jumped from one cycle to the next [K], shape (n_sensors,); None where none has.
+
+    Parameters
+    ----------
+    before, now
+        Levels before and after a cycle.
+
+    """
+    if now.jumps is before.jumps:
+        return None
+    jump_k = np.zeros(len(now.shift_k))
+    for _, index, by_k in set(now.jumps).difference(before.jumps):
+        jump_k[index] += by_k
+    return jump_k
 
 
 def _with_leaving(levels: SensorLevels, seen: BelievedValues) -> SensorLevels:
@@ -192,6 +233,7 @@ def _judged(
     levels: SensorLevels, group: GroupArray, seen: BelievedValues, judged: BoolArray, degc: FloatArray
 ) -> tuple[SensorLevels, FloatArray]:
     shift_k, uncertainty_k, changes = levels.shift_k.copy(), levels.uncertainty_k.copy(), list(levels.changes)
+    jumps = list(levels.jumps)
     counted = degc.copy()
     beside_degc = np.where(levels.uncertainty_k == 0.0, degc, np.nan)
     beside_degc[[*levels.left, *seen.indices[judged].tolist()]] = np.nan
@@ -219,8 +261,10 @@ def _judged(
         if shift_k[index] != before_k:
             changes.append((seen.now_s, index, float(before_k)))
             counted[index] = seen.degc[place] - shift_k[index]
+        elif not seen.returned[place]:
+            jumps.append((seen.now_s, index, off_k))
     found = replace(levels, shift_k=shift_k, uncertainty_k=uncertainty_k, changes=tuple(changes[-CHANGES_KEPT:]))
-    return found, counted
+    return replace(found, jumps=tuple(jumps[-CHANGES_KEPT:])), counted
 
 
 def _expected_degc(then: Left, now_s: float) -> FloatArray:

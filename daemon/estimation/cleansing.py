@@ -12,8 +12,17 @@ from drivers.clock import Clock
 from models.align import RollingMean
 from models.cleanse import CleansingRules, CleansingState, IndexArray, age_s, cleanse_cycle, initial_state
 from models.quality import GOOD, Quality, Reason
-from models.records import FloatArray, MachineTemperatures, Reference, TemperatureCycle
-from models.sensor_levels import BelievedValues, first_levels, renewed_levels, trusted_anew, with_past
+from models.records import CodeArray, FloatArray, MachineTemperatures, Reference, TemperatureCycle
+from models.sensor_levels import (
+    BelievedValues,
+    SensorLevels,
+    first_levels,
+    jumped_k,
+    renewed_levels,
+    trusted_anew,
+    with_gap,
+    with_past,
+)
 from models.standing_input import StandingInput, renewed_input
 
 NAMED = 3
@@ -54,6 +63,12 @@ class Cleansing:
         self.levels = first_levels(len(position))
         """What every sensor's level counts as; the means hold it, the latest temperatures do not."""
         self._jumped_at_s = np.full(len(position), -np.inf)
+        self._stood_since_s: dict[str, float] = {}
+        """Since when inputs had stood that go on, until all their values count again [s]."""
+        self.jumped_k: FloatArray | None = None
+        """By how much sensors have jumped with the latest cycle [K], None where none has."""
+        self.gap_ended = False
+        """With the latest cycle an input goes on that had stood: what was read of it meanwhile is no past."""
         self._measured = np.full(len(position), np.nan)
         self._quality = np.full(len(position), Quality.MISSING, dtype=np.uint8)
         self._reason = np.full(len(position), Reason.NOT_RECEIVED, dtype=np.uint8)
@@ -106,6 +121,8 @@ class Cleansing:
         """Return which line or source seems to answer from memory or in another unit, '' when none does."""
         if why := self.units.why():
             return why
+        for name, since_s in self._stood_since_s.items():
+            return f"{name} goes on after it had sent the very same numbers for {(now_s - since_s) / 60.0:.0f} min"
         for name, each in self._standing.items():
             if stood_s := each.stands_s(now_s):
                 return (
@@ -165,7 +182,10 @@ class Cleansing:
         indices, period_s = self._lines[cycle.line]
         now_s = cycle.trace.first_byte.monotonic_s
         read = np.where(cycle.quality == Quality.GOOD, cycle.degc, np.nan)
-        self._standing[cycle.line] = renewed_input(self._standing[cycle.line], read, now_s)
+        before = self._standing[cycle.line]
+        self._standing[cycle.line] = renewed_input(before, read, now_s)
+        if before.stands_s(now_s) and self._standing[cycle.line].since_s > before.since_s:
+            self._stood_since_s.setdefault(cycle.line, before.since_s)
         quality, reason = cycle.quality, cycle.reason
         if self.units.says_other(cycle.line, self._standing[cycle.line].degc):
             told = quality == Quality.GOOD
@@ -204,7 +224,11 @@ class Cleansing:
             stale=stale,
             at_s=self._state.accepted_at_s,
         )
-        self.levels = renewed_levels(self.levels, self._group, seen)
+        were, self.levels = self.levels, renewed_levels(self.levels, self._group, seen)
+        self.jumped_k = jumped_k(were, self.levels)
+        if self.jumped_k is not None:
+            self._mean.move(self.jumped_k)
+        self._goes_on(cycle.line, were, result.quality, now_s)
         self._mean.add(now_s, degc - self.levels.shift_k)
         self.latest = MachineTemperatures(
             line=cycle.line,
@@ -216,6 +240,17 @@ class Cleansing:
             trace=replace(cycle.trace, cleansed=self._clock.now()),
         )
         return self.latest
+
+    def _goes_on(self, line: str, were: SensorLevels, quality: CodeArray, now_s: float) -> None:
+        """Know that of an input that goes on nothing is known since it stood; its jumps are what it has missed."""
+        since_s = self._stood_since_s.get(line)
+        self.gap_ended = since_s is not None and not (quality == Quality.HELD).any()
+        if since_s is None:
+            return
+        self.jumped_k, self.levels = None, replace(self.levels, jumps=were.jumps)
+        if self.gap_ended:
+            del self._stood_since_s[line]
+            self.levels = with_gap(self.levels, since_s, now_s, self._lines[line][0])
 
     def _after_silence(self, indices: IndexArray, usable: npt.NDArray[np.bool_], now_s: float) -> npt.NDArray[np.bool_]:
         """Return which sensors of a line have had no value for too long since one last counted."""

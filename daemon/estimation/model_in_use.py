@@ -90,6 +90,15 @@ class ModelInUse:
         """Take the means of the last minute: temperatures [degC] and spindle speed [1/min], NaN where unknown."""
         self._online.on_sample(now_s / 60.0, degc[self._inputs], speed_rpm)
 
+    def jumped(self, jump_k: FloatArray) -> None:
+        """Take that sensors have jumped, in the machine's order [K]: what is remembered of them is at their new level.
+
+        So a level that is wrong for a while leaves nothing behind in the lags, and neither does one that stays.
+        """
+        of_inputs = np.zeros(len(self._inputs))
+        of_inputs[: len(self.places)] = jump_k[self.places]
+        self._online.jumped(of_inputs)
+
     def set_reference(
         self,
         reference: Reference,

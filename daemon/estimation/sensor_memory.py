@@ -11,7 +11,14 @@ import structlog
 
 from daemon.estimation.model_in_use import ModelInUse
 from daemon.history.writer import HistoryWriter
-from daemon.state_store.documents import InOtherUnit, LevelChange, SensorLevelsDocument, SensorsLeft
+from daemon.state_store.documents import (
+    InOtherUnit,
+    LevelChange,
+    LevelGap,
+    LevelJump,
+    SensorLevelsDocument,
+    SensorsLeft,
+)
 from daemon.state_store.store import StateStore
 from drivers.clock import Clock
 from models.control.reference_records import LabelOrigin, ReferenceDocument, SensorsSinceReference
@@ -252,6 +259,7 @@ class LevelMemory:
             levels.left is before.left,
             levels.uncertainty_k is before.uncertainty_k,
             levels.shift_k is before.shift_k,
+            levels.gaps is before.gaps,
         )
         if not all(same):
             self._store.put(self._document(levels))
@@ -288,7 +296,16 @@ class LevelMemory:
             (c.utc_s - since_s, place[c.sensor_id], c.shift_k) for c in kept.changes if c.sensor_id in place
         )
         return SensorLevels(
-            shift_k=shift_k, uncertainty_k=uncertainty_k, degc=levels.degc, left=MappingProxyType(left), changes=changes
+            shift_k=shift_k,
+            uncertainty_k=uncertainty_k,
+            degc=levels.degc,
+            left=MappingProxyType(left),
+            changes=changes,
+            gaps=tuple(
+                (g.from_utc_s - since_s, g.to_utc_s - since_s, tuple(place[i] for i in g.sensor_ids if i in place))
+                for g in kept.gaps
+            ),
+            jumps=tuple((j.utc_s - since_s, place[j.sensor_id], j.jump_k) for j in kept.jumps if j.sensor_id in place),
         )
 
     def _to_utc_s(self) -> float:
@@ -316,6 +333,16 @@ class LevelMemory:
             changes=tuple(
                 LevelChange(utc_s=at_s + since_s, sensor_id=self._sensor_ids[index], shift_k=shift_k)
                 for at_s, index, shift_k in levels.changes
+            ),
+            jumps=tuple(
+                LevelJump(utc_s=at_s + since_s, sensor_id=self._sensor_ids[index], jump_k=jump_k)
+                for at_s, index, jump_k in levels.jumps
+            ),
+            gaps=tuple(
+                LevelGap(
+                    from_utc_s=a + since_s, to_utc_s=b + since_s, sensor_ids=tuple(self._sensor_ids[i] for i in of)
+                )
+                for a, b, of in levels.gaps
             ),
         )
 

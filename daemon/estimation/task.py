@@ -8,6 +8,7 @@ import asyncio
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import structlog
@@ -117,7 +118,6 @@ class ThermalTask:
         )
         self._labels = {label: np.array(indices) for label, indices in temperatures.labels.items()}
         self._sensor_ids = temperatures.sensor_ids
-        self._machine = _machine(temperatures)
         self._cleansing = Cleansing(configuration, clock)
         self._reference: Reference | None = None
         self.inbox = inbox
@@ -128,6 +128,8 @@ class ThermalTask:
         self._speed_at_s = self._taken_up_s = -np.inf
         self._positions = _open_positions(configuration)
         self._past = HistoryBackfill(configuration, clock, self._positions)
+        machine = self._sensor_ids, _machine(temperatures)
+        self._in_use = partial(_in_use, self._past, self._cleansing, *machine, self._positions)
         self._online = self._in_use(model)
         self._next: ModelInUse | None = None  # waits for an estimate to go on from, or a reference
         self._since = SinceReference(self._sensor_ids, self._labels)
@@ -208,26 +210,20 @@ class ThermalTask:
             await self._count_from_reference(self._online, reference, self._taken_up_s)
         self._reference = reference
 
-    async def use_model(self, model: ThermalModel | None) -> None:
-        """Estimate with this model from the next cycle on; the output task keeps a change of model continuous."""
+    async def use_model(self, model: ThermalModel | None, *, at_once: bool = False) -> None:
+        """Estimate with it from the next cycle on, continuously; `at_once`: the one in use, whose past has changed."""
         online = self._in_use(model)
         if online is not None:
             now_s = self._clock.now().monotonic_s
             await asyncio.to_thread(online.prepare, now_s)
             if self._reference is not None:
                 await self._count_from_reference(online, self._reference, now_s)
-        at_once = self._online is None or online is None or self._reference is None
+        at_once = at_once or self._online is None or online is None or self._reference is None
         self._online, self._next = (online, None) if at_once else (self._online, online)
 
     async def _count_from_reference(self, online: ModelInUse, reference: Reference, now_s: float) -> None:
         known = (self._since.excluded, self._since.of_model, self._positions.at_reference(reference.degc))
         await asyncio.to_thread(online.set_reference, reference, now_s, *known)
-
-    def _in_use(self, model: ThermalModel | None) -> ModelInUse | None:
-        if model is None:
-            return None
-        means = _means_of(self._past, self._cleansing, len(self._sensor_ids))
-        return ModelInUse(model, self._sensor_ids, self._machine, means, self._positions.names)
 
     def inhibit(self) -> str:
         """Return why the model cannot be followed yet, '' when it can or when there is none."""
@@ -242,6 +238,13 @@ class ThermalTask:
             self._deliver(EstimateComing(line=cycle.line))
             await asyncio.sleep(0)
         temperatures = self._cleansing.on_cycle(cycle)
+        if (jumped_k := self._cleansing.jumped_k) is not None:
+            for each in filter(None, (self._online, self._next)):
+                each.jumped(jumped_k)
+        if self._cleansing.gap_ended and self._online is not None:
+            models = [each.model for each in (self._online, self._next) if each is not None]
+            for place, model in enumerate(models):
+                await self.use_model(model, at_once=place == 0)
         self._levels.keep(self._cleansing.levels, self._cleansing.units.found)
         self.cycles_received += 1
         self._telemetry.arrived(cycle)
@@ -254,7 +257,8 @@ class ThermalTask:
             self.latest_estimate = renewed
             self.estimates += 1
             self._deliver(renewed)
-            self._deliver_sensors()
+            if (changed := self._since.changed()) is not None:
+                self._deliver(changed)
         if self._temperature_is_shown:
             self._deliver(self._cleansing.believed(temperatures, self._since.excluded))
         await _turns(TURNS_OF_OUTPUT)
@@ -315,11 +319,6 @@ class ThermalTask:
             probe_wander=_probe_wander(model),
         )
 
-    def _deliver_sensors(self) -> None:
-        """Tell the control task, which keeps it with the reference, when anything has changed."""
-        if (changed := self._since.changed()) is not None:
-            self._deliver(changed)
-
     def _set_reference(self, request: ReferenceRequest) -> None:
         now = self._clock.now()
         latest_s = -np.inf if self.latest is None else self.latest.trace.first_byte.monotonic_s
@@ -343,7 +342,21 @@ class ThermalTask:
             first = replace(first, trace=replace(first.trace, cleansed=None))
             self.latest_estimate = first
             self._deliver(first)
-            self._deliver_sensors()
+            if (changed := self._since.changed()) is not None:
+                self._deliver(changed)
+
+
+def _in_use(
+    past: HistoryBackfill,
+    cleansing: Cleansing,
+    sensor_ids: tuple[int, ...],
+    machine: Machine,
+    positions: NoPositions,
+    model: ThermalModel | None,
+) -> ModelInUse | None:
+    if model is None:
+        return None
+    return ModelInUse(model, sensor_ids, machine, _means_of(past, cleansing, len(sensor_ids)), positions.names)
 
 
 def _means_of(past: HistoryBackfill, cleansing: Cleansing, count: int) -> History:
@@ -352,7 +365,7 @@ def _means_of(past: HistoryBackfill, cleansing: Cleansing, count: int) -> Histor
     def means(from_s: float, to_s: float, period_s: float) -> Iterator[tuple[float, FloatArray, float]]:
         levels = cleansing.levels
         for time_s, row, speed_rpm in past.means(from_s, to_s, period_s):
-            degc = unshifted(levels, time_s, row[:count])
+            degc = unshifted(levels, time_s, row[:count], to_s)
             yield time_s, np.concatenate([degc, row[count:]]) if len(row) > count else degc, speed_rpm
 
     return means

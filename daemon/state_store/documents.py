@@ -73,6 +73,24 @@ class LevelChange:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class LevelJump:
+    """By how much a sensor counts at another level since a time, although it was heard all the time."""
+
+    utc_s: float
+    sensor_id: int
+    jump_k: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LevelGap:
+    """Times within which what sensors were read as says nothing."""
+
+    from_utc_s: float
+    to_utc_s: float
+    sensor_ids: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SensorLevelsDocument:
     """What every sensor's level counts as, see `models.sensor_levels`."""
 
@@ -81,6 +99,8 @@ class SensorLevelsDocument:
     uncertainty_k: Mapping[int, float]
     left: tuple[SensorsLeft, ...]
     changes: tuple[LevelChange, ...]
+    jumps: tuple[LevelJump, ...] = ()
+    gaps: tuple[LevelGap, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

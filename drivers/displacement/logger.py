@@ -46,6 +46,8 @@ class LoggerSource(PushedSource):
         )
         self._newest_utc_s = clock.now().utc_s - NEWEST_PERIODS * source.cycle_period_s
         self._pending: tuple[Readings, Instant] | None = None
+        self._untimely = ""
+        """How far the latest row's time stamp is from now, where the row is not used for that."""
 
     async def follow(self) -> None:
         """Follow the files; raises LinkError when they cannot be read for long."""
@@ -70,14 +72,20 @@ class LoggerSource(PushedSource):
             return
         ahead_s = row.utc_s - now.utc_s
         if ahead_s > AHEAD_S:
-            self.report(
+            self._untimely = (
                 f"{row.source}: the time stamp is {ahead_s:.0f} s ahead of this computer's clock: correct `time_zone`, "
                 "`time_format` or one of the two clocks; the row is not used"
             )
+            self.report(self._untimely)
             return
         if row.utc_s <= self._newest_utc_s:
+            if -ahead_s > NEWEST_PERIODS * self._source.cycle_period_s:
+                self._untimely = (
+                    f"the time stamp of its last row is {-ahead_s:.0f} s behind this computer's clock: where the "
+                    "logger runs, correct `time_zone`, `time_format` or one of the two clocks"
+                )
             return
-        self._newest_utc_s = row.utc_s
+        self._newest_utc_s, self._untimely = row.utc_s, ""
         age_s = max(0.0, -ahead_s)
         self.put_row(
             readings,
@@ -95,7 +103,7 @@ class LoggerSource(PushedSource):
 
     def silent(self) -> str:
         """Return what to check when no row comes."""
-        problem = self._files.last_problem
+        problem = self._untimely or self._files.last_problem
         return (
             f"file {self._path} has brought no new row for {NEWEST_PERIODS:g} cycle periods "
             f"({self._source.cycle_period_s:g} s each){f' ({problem})' if problem else ''}: check that the logger "

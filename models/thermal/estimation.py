@@ -96,6 +96,10 @@ class OnlineModel(Protocol):
         """Take temperatures [degC] and spindle speed [1/min], NaN where unknown."""
         ...
 
+    def jumped(self, jump_k: FloatArray) -> None:
+        """Take that inputs count at other levels from now on [K]: what is remembered of them is at these."""
+        ...
+
     def set_reference(self, reference: OnlineReference) -> tuple[int, ...]:
         """Count from this reference from now on; return the IDs of the sensors that count again by that."""
         ...

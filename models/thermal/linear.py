@@ -95,6 +95,12 @@ class LinearOnline:
         elif time_min - self._state.time_min >= self.model.period_min:
             self._state = self._estimator.advance(self._state, time_min, now, speed_rpm, bridged=True)
 
+    def jumped(self, jump_k: FloatArray) -> None:
+        """Take that inputs count at other levels from now on [K]: their lags are where they would always have been."""
+        if (state := self._state) is not None:
+            lagged, known = state.lagged + jump_k, state.known_lagged + jump_k
+            self._state = replace(state, degc=state.degc + jump_k, lagged=lagged, known_lagged=known)
+
     def set_reference(self, reference: OnlineReference) -> tuple[int, ...]:
         """Keep the states at the reference; those of one that lies back come from its history."""
         self._left_out = {}

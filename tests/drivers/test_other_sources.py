@@ -150,6 +150,28 @@ async def test_a_stamp_of_the_future_is_refused_and_says_what_to_correct(tmp_pat
     await opened.close()
 
 
+@pytest.mark.parametrize(
+    ("off_s", "said"), [(3600.0, "3600 s ahead of this computer's clock"), (-3600.0, "360. s behind this computer's")]
+)
+async def test_a_logger_whose_time_is_another_is_told_so_when_its_rows_are_not_used(
+    tmp_path: Path, off_s: float, said: str
+) -> None:
+    path = tmp_path / "log.csv"
+    row(path, "t,T7\n")
+    opened = logger(path, period_s=0.5)
+
+    async def write() -> None:
+        for _ in range(100):
+            row(path, f"{time.time() + off_s:.2f},20.0\n")
+            await asyncio.sleep(0.1)
+
+    writing = asyncio.ensure_future(write())
+    with pytest.raises(LinkError, match=f"{said}.*correct `time_zone`"):
+        await anext(aiter(opened.cycles()))
+    writing.cancel()
+    await opened.close()
+
+
 async def test_a_row_without_a_stamp_counts_from_its_arrival_and_rows_at_once_count_once(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     row(path, "t;T7\nx;11,5\n")

@@ -64,6 +64,10 @@ class TwinLoop:
     """Moment in which the daemon starts, before it is switched on in moment 60; the machine warms since moment 0."""
     configuration: Configuration | None = None
     """Another machine with the same lines."""
+    before: int = BEFORE
+    """Moments before anything happens; the daemon is switched on in the 36th of them from the end."""
+    positionings: tuple[int, ...] = ()
+    """Moments after these in which the work is positioned again."""
     loop: WholeLoop = field(init=False)
     begun_s: float = field(init=False)
     applied_um: list[FloatArray] = field(init=False, default_factory=list)
@@ -97,8 +101,8 @@ class TwinLoop:
             sensor = CHAIN[line][place]
             if self.silent.get(sensor, -1) <= self.moment:
                 frames.append(self.frame(place + 1, round(degc[sensor] / TMP102_DEGC_PER_LSB)))
-        if self.disturbance is not None and self.moment >= BEFORE:
-            frames = self.disturbance(self, self.moment - BEFORE, line, frames, self.rng)
+        if self.disturbance is not None and self.moment >= self.before:
+            frames = self.disturbance(self, self.moment - self.before, line, frames, self.rng)
         now = loop.clock.now()
         assembler = self.assemblers[line]
         cycles = assembler.feed(b"".join(frames), now)
@@ -123,14 +127,14 @@ class TwinLoop:
         self.moment = self.first
         await self._start()
         try:
-            for moment in range(self.first, BEFORE + moments):
+            for moment in range(self.first, self.before + moments):
                 self.moment = moment
                 await self._program()
-                if self.moment - BEFORE in self.pauses:
+                if self.moment - self.before in self.pauses:
                     await self._pause()
                 await loop.moment()
                 loop.nc.safe_point()
-                if self.moment >= BEFORE:
+                if self.moment >= self.before:
                     self.applied_um.append(loop.applied_um.copy())
                     memory = loop.rig.control.memory
                     self.states.append(OutputState.OFF if memory is None else memory.state)
@@ -139,11 +143,12 @@ class TwinLoop:
 
     async def _program(self) -> None:
         nc, control = self.loop.nc, self.loop.rig.control
-        if self.moment == 60:
+        moment = self.moment - self.before
+        if moment == -36:
             control.request(OperatorRequest(enable=frozenset({"y", "z"})), "a person")
-        if self.moment == 70:
+        if moment in (-26, *self.positionings):
             nc.run, nc.sequence_number = CncRun.START, 100
-        if self.moment == 72:
+        if moment - 2 in (-26, *self.positionings):
             nc.run, nc.sequence_number = CncRun.STOP, 900
 
     async def _pause(self) -> None:

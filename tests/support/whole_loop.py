@@ -45,10 +45,12 @@ def loop_machine(directory: Path, policy: str) -> Configuration:
     return whole.model_copy(update={"compensation": compensation})
 
 
-def lagged_model(name: str, axis_positions: tuple[str, ...] = ()) -> LinearModel:
-    """A model with lags of one and two minutes, whose states are filled after eight; of positions about 0.05 um/mm."""
+def lagged_model(
+    name: str, axis_positions: tuple[str, ...] = (), lags_min: tuple[float, ...] = (1.0, 2.0)
+) -> LinearModel:
+    """A model whose states are filled after four times its longest lag; of positions about 0.05 um/mm."""
     sensors, rng = len(SENSOR_IDS) + len(axis_positions), np.random.default_rng(5)
-    layout = Layout(sensors=sensors, lags_min=(1.0, 2.0), speed_lags_min=())
+    layout = Layout(sensors=sensors, lags_min=lags_min, speed_lags_min=())
     directions = np.linalg.qr(rng.normal(size=(layout.columns, layout.columns)))[0]
     weights = rng.uniform(0.0, 0.6, (layout.columns, 2))
     highest, of_positions = np.full(sensors, 80.0), np.arange(sensors) >= len(SENSOR_IDS)

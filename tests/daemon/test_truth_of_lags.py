@@ -1,0 +1,116 @@
+"""What was read wrong for a while leaves nothing behind in the lags of a model, which last longer than that."""
+
+import asyncio
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import structlog
+from bad_input import _place, _said
+from twin_loop import Disturbance, Frames, Place, TwinLoop
+from whole_loop import lagged_model
+
+from models.records import FloatArray, OutputState
+from models.thermal.linear import LinearModel
+
+MODEL = lagged_model("long", lags_min=(1.0, 10.0))
+CHANGES = np.outer(np.repeat([1.0, 0.2, -1.2], 5), [0.6, 1.0])
+"""Weights of a model that follows how far its temperatures are ahead of their lags [um/K]."""
+BEFORE = 200
+"""Moments of ten seconds until enough is known of the states and the output follows."""
+PLACE = Place(rise_k=np.array([6.0, 5.0, 7.0, 2.0, 3.0]), constant_s=np.full(5, 1500.0))
+STEEP = Place(rise_k=np.array([35.0, 30.0, 38.0, 12.0, 13.0]), constant_s=np.full(5, 6000.0))
+WITHIN_UM = 1.1
+
+
+@pytest.fixture(autouse=True, scope="module")
+def quiet() -> Iterator[None]:
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(50))
+    yield
+    structlog.reset_defaults()
+
+
+def other_level(sensor: int, begin: int, end: float, codes: int = 192) -> Disturbance:
+    """A node says 12 K more than it measures, from one moment to another."""
+
+    def disturb(loop: TwinLoop, moment: int, line: str, frames: Frames, _rng: np.random.Generator) -> Frames:
+        lies = _place(sensor)[0] == line and begin <= moment < end
+        return _said(loop, frames, sensor, codes) if lies else frames
+
+    return disturb
+
+
+def from_memory(begin: int, end: int) -> Disturbance:
+    """A line answers with what it had at a moment."""
+    kept: list[Frames] = []
+
+    def disturb(_loop: TwinLoop, moment: int, line: str, frames: Frames, _rng: np.random.Generator) -> Frames:
+        if line != "spindle" or not begin <= moment < end:
+            return frames
+        kept.append(frames)
+        return kept[0]
+
+    return disturb
+
+
+def ahead_of_lags() -> LinearModel:
+    """A model to which a lag that was led astray is worth as much as a temperature."""
+    (vector,), (solution,) = MODEL.test_vectors, MODEL.solutions
+    expected_um = (vector.features - vector.reference) @ CHANGES
+    return replace(
+        MODEL,
+        solutions=(replace(solution, weights=CHANGES),),
+        test_vectors=(replace(vector, thermal_error_um=expected_um),),
+    )
+
+
+def run(
+    directory: Path, disturbance: Disturbance, place: Place, moments: int, model: LinearModel = MODEL, **how: Any
+) -> tuple[FloatArray, list[OutputState]]:
+    """Return how far a loop is from its twin in every moment [um], and its states."""
+    loops = []
+    for name, bad, restarting in (("twin", None, False), ("loop", disturbance, True)):
+        loop = TwinLoop(
+            directory / name,
+            model,
+            place,
+            "checked",
+            disturbance=bad,
+            before=BEFORE,
+            restarting=restarting,
+            **how,
+        )
+        asyncio.run(loop.run(moments))
+        loops.append(loop)
+    twin, loop = loops
+    return np.array(loop.applied_um) - np.array(twin.applied_um), loop.states
+
+
+def test_a_sensor_that_lies_for_minutes_and_is_right_again_leaves_nothing_behind(tmp_path: Path) -> None:
+    off_um, states = run(tmp_path, other_level(0, 5, 50), PLACE, 90)
+    assert states[40] is OutputState.HOLD
+    assert states[-1] is OutputState.ACTIVE
+    assert np.abs(off_um[-25:]).max() <= WITHIN_UM
+
+
+def test_nor_does_it_over_a_restart(tmp_path: Path) -> None:
+    off_um, states = run(tmp_path, other_level(0, 5, 50), PLACE, 120, pauses=(40,), positionings=(65,))
+    assert states[45] is OutputState.HOLD
+    assert states[-1] is OutputState.ACTIVE
+    assert np.abs(off_um[75:] - off_um[75]).max() <= WITHIN_UM
+
+
+def test_a_sensor_that_stays_at_another_level_moves_nothing_after_the_work_is_positioned(tmp_path: Path) -> None:
+    off_um, states = run(tmp_path, other_level(0, 5, np.inf), PLACE, 140, positionings=(40,))
+    assert states[-1] is OutputState.ACTIVE
+    assert np.abs(off_um[50:] - off_um[50]).max() <= WITHIN_UM
+
+
+def test_a_line_that_answered_from_memory_moves_nothing_after_the_work_is_positioned(tmp_path: Path) -> None:
+    off_um, states = run(tmp_path, from_memory(5, 65), STEEP, 160, ahead_of_lags(), positionings=(85,))
+    assert states[60] is OutputState.HOLD and states[80] is OutputState.HOLD
+    assert states[-1] is OutputState.ACTIVE
+    assert np.abs(off_um[95:] - off_um[95]).max() <= WITHIN_UM
