@@ -50,12 +50,16 @@ class MeasuredByNc:
         self._look = look
         self._probe: ProbeSample | None = None
         self.tool = ToolInSpindle(references)
+        self._polled_s: float | None = None
         self.tool_setting: tuple[bool, ...] | None = None
         self.probe_um: FloatArray | None = None
 
     def on_sample(self, sample: CncSample, estimate: ThermalErrorEstimate | None) -> None:
         """Take one poll: the tool in the spindle, and where the axes stand."""
-        self.tool.on_sample(sample.tool_number, estimate)
+        now_s = sample.time.monotonic_s
+        gap_s = self._references.away_s(sample) if self._polled_s is None else now_s - self._polled_s
+        self._polled_s = now_s
+        self.tool.on_sample(sample.tool_number, estimate, gap_s)
         self._skill.stand(sample)
 
     def set_tool(self, axis: str) -> str:

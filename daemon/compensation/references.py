@@ -26,6 +26,7 @@ from models.control.reference_records import (
     ReferenceTakenUp,
     SensorsSinceReference,
     ToolOrigin,
+    ToolSeen,
 )
 from models.control.state import OutputMemory
 from models.records import CncSample, FloatArray, Phase, Reference
@@ -54,7 +55,8 @@ class References:
         self._rules = reference_rules(configuration, clock.speed, um_per_unit)
         self._safe_sequence_numbers = frozenset(configuration.compensation.output.safe_sequence_numbers)
         self._safe_flag = configuration.cnc.macros.safe_flag
-        self._tool_expands = any(axis.tool_term is not None for axis in configuration.compensation.axes.values())
+        terms = [axis.tool_term for axis in configuration.compensation.axes.values() if axis.tool_term is not None]
+        self._expanding = frozenset(label for term in terms for label in term.temperatures)
         self._clock = clock
         self._history = history
         self._store = StateStore(history, clock)
@@ -65,6 +67,8 @@ class References:
         self._kept_real_s = float("-inf")
         self.left = self._store.get(ReferenceDocument)
         """What the previous run left."""
+        self.tool_seen: ToolSeen | None = None
+        """The tool in the spindle, to be kept."""
         self.memory = ReferenceMemory()
         self.phase = Phase.CUTTING
 
@@ -79,10 +83,17 @@ class References:
         return None if self.memory.record is None else self.memory.record.reference_id
 
     @property
+    def labels_at_reference(self) -> dict[str, tuple[float, float]]:
+        """Of each label that tools expand with, the time of the reference [s], and its increment then [K]."""
+        record = self.memory.record
+        at_s = self._clock.now().monotonic_s if record is None else record.reference.time.monotonic_s
+        return dict.fromkeys(self._expanding, (at_s, 0.0))
+
+    @property
     def tools_differ(self) -> bool:
         """It matters which tool is in the spindle: one was set, or its own expansion counts."""
         baseline = None if self.memory.record is None else self.memory.record.baseline
-        return self._tool_expands or (baseline is not None and bool(baseline.tools))
+        return bool(self._expanding) or (baseline is not None and bool(baseline.tools))
 
     @property
     def zero_first(self) -> bool:
@@ -195,12 +206,13 @@ class References:
         if self.left is not None and self.current is None:
             return
         document = reference_restart.document_of(self.memory, self._rules, self._handshake.answered)
+        document = replace(document, tool=self.tool_seen)
         now_s, kept = self._clock.now().real_s, self._kept
         changed = (
             kept is None
             or kept.record is not document.record
-            or (kept.state, kept.ended, kept.request_counter)
-            != (document.state, document.ended, document.request_counter)
+            or (kept.state, kept.ended, kept.request_counter, kept.tool)
+            != (document.state, document.ended, document.request_counter, document.tool)
         )
         if changed or now_s - self._kept_real_s >= KEPT_PERIOD_REAL_S:
             self._kept, self._kept_real_s = document, now_s

@@ -217,8 +217,7 @@ class ControlTask:
         session, self._unseen_reference = self.session, False
         if session is None:
             return
-        asked_s = self._clock.now().monotonic_s
-        problems = await session.poll()
+        asked_s, problems = self._clock.now().monotonic_s, await session.poll()
         sample = session.sample
         assert sample is not None and session.echo is not None
         self._parts.history.cnc_sample(sample)
@@ -233,6 +232,7 @@ class ControlTask:
             now = self._clock.now()
             self._startup.settle_writes(self._parts.history, sample, session.echo, now)
             self.memory = self._startup.begin(session, now.monotonic_s)
+            self._measured.on_sample(sample, self._estimate)
         self._references.keep()
 
     # --- deciding and writing ------------------------------------------------------------

@@ -1,8 +1,11 @@
 """Follows the tool in the spindle: its number, and from when its own expansion counts."""
 
+import math
+
 from daemon.compensation.references import References
 from models.control.inhibit import Inhibit, InhibitCode
-from models.control.reference_records import ToolOrigin
+from models.control.reference import TOOL_UNKNOWN_S
+from models.control.reference_records import ToolOrigin, ToolSeen
 from models.records import ThermalErrorEstimate
 
 
@@ -19,27 +22,53 @@ class ToolInSpindle:
         """Of each label since this reference when its sensors were last heard [s], and which mean increment [K]."""
         self._shown_s: dict[str, float] = {}
         """When that increment was an estimate's [s]."""
+        self._gap_s = 0.0
         self.number = 0
 
-    def on_sample(self, seen: int, estimate: ThermalErrorEstimate | None) -> None:
-        """Take the tool number of a poll: another one is a tool change, unless the program names its tools itself."""
+    def on_sample(self, shown: int, estimate: ThermalErrorEstimate | None, gap_s: float = 0.0) -> None:
+        """Take the tool number of a poll: another one is a tool change, unless the program names its tools itself.
+
+        `gap_s`: since the poll before, over a restart too [s].
+        """
         self._follow(estimate)
-        program_ended = self._named is not None and self._named[0] != self._program
-        if self._named is not None and seen == self.number:
-            self._named = self._named[0], seen
+        self._gap_s = max(self._gap_s, gap_s)
         if self._polled is None:
-            self._polled = self.number = seen
-        elif seen != self._polled or program_ended:
-            changed = seen != (self._named[1] if self._named is not None else self._polled)
-            self._polled = seen
+            self._begin_with(shown)
+        if self._references.left is not None:  # nothing counts from what the previous run left yet
+            return
+        gap_s, self._gap_s = self._gap_s, 0.0
+        program_ended = self._named is not None and self._named[0] != self._program
+        if self._named is not None and shown == self.number:
+            self._named = self._named[0], shown
+        if shown != self._polled or program_ended:
+            changed = shown != (self._named[1] if self._named is not None else self._polled)
+            self._polled = shown
             self._named = None if program_ended else self._named
             if self._named is None and changed:
-                self.begin(seen, estimate)
+                self.begin(shown, estimate, known=gap_s <= TOOL_UNKNOWN_S)
+        self._keep()
+
+    def _begin_with(self, shown: int) -> None:
+        """Begin with the tool that the previous run knew in the spindle, or with the one that the control shows."""
+        left = self._references.left
+        kept = None if left is None else left.tool
+        if kept is None:
+            self._polled = self.number = shown
+            return
+        self._polled, self.number = kept.shown, kept.number
+        self._named = None if kept.named_by is None else (kept.named_by, kept.shown_when_named)
+
+    def _keep(self) -> None:
+        by, shown_then = (None, None) if self._named is None else self._named
+        shown = self.number if self._polled is None else self._polled
+        seen = ToolSeen(number=self.number, shown=shown, named_by=by, shown_when_named=shown_then)
+        self._references.tool_seen = seen
 
     def name(self, number: int, estimate: ThermalErrorEstimate | None) -> None:
         """Take the NC program's word for the tool in the spindle: it counts until another program runs."""
         self._named = self._program, self._polled
         self.begin(number, estimate)
+        self._keep()
 
     @property
     def _program(self) -> int:
@@ -57,19 +86,27 @@ class ToolInSpindle:
             "the one that is prepared (cnc.focas.tool_macro)",
         )
 
-    def begin(self, number: int, estimate: ThermalErrorEstimate | None) -> None:
-        """Let the tool term of this tool count from now."""
+    def begin(self, number: int, estimate: ThermalErrorEstimate | None, *, known: bool = True) -> None:
+        """Let the tool term of this tool count from now; `known`: it came within the last minute."""
         self.number = number
         self._follow(estimate)
-        begin_degc = {label: increment for label, (_, increment) in self._seen.items()}
-        counted_from = estimate.reference_id if estimate is not None else None
-        self._references.tool_begins(ToolOrigin(number=number, begin_degc=begin_degc), counted_from, self._shown_s)
+        if (kept := self._references.kept_id) is not None and kept != self._counted_from:
+            self._count_from(kept)  # nothing has been estimated since the reference
+        begin_degc = {label: increment if known else math.nan for label, (_, increment) in self._seen.items()}
+        tool = ToolOrigin(number=number, begin_degc=begin_degc)
+        self._references.tool_begins(tool, kept, self._shown_s)
+
+    def _count_from(self, reference_id: str | None) -> None:
+        """Begin to follow the labels since a reference: what nobody has heard since had its increment of then."""
+        known = reference_id == self._references.kept_id
+        self._counted_from, self._shown_s = reference_id, {}
+        self._seen = self._references.labels_at_reference if known else {}
 
     def _follow(self, estimate: ThermalErrorEstimate | None) -> None:
         if estimate is None:
             return
         if estimate.reference_id != self._counted_from:
-            self._counted_from, self._seen, self._shown_s = estimate.reference_id, {}, {}
+            self._count_from(estimate.reference_id)
         at_s, increments = estimate.trace.first_byte.monotonic_s, estimate.label_increment_degc
         if estimate.held_s == 0.0:
             self._references.tool_set_right(self._seen, increments, at_s)

@@ -137,6 +137,15 @@ class Cleansing:
             return why
         if usable == 0:
             return f"no temperature has arrived in the last {self.window_s:.0f} s"
+        silent_s = np.where(np.isfinite(self.mean_degc()), now_s - self._usable_at_s, 0.0)
+        silent_s[silent_s <= np.maximum(self.window_s / 2, HELD_PERIODS * self._period_s)] = 0.0
+        if silent_s.any():
+            longest = int(silent_s.argmax())
+            return (
+                f"sensor {self._sensor_ids[longest]} has been silent for {silent_s[longest]:.0f} s, and its mean holds "
+                "what it had before: position again when it is back, or is left out, "
+                f"{self._rules.stale_after_s:.0f} s after its last value"
+            )
         mixed = np.flatnonzero(now_s - self._jumped_at_s <= self.window_s)[:NAMED]
         if not len(mixed):
             return ""

@@ -22,6 +22,7 @@ from models.spindle_speed.choice import SpeedDemand, SpeedLimits
 from models.spindle_speed.planner import MillingOperation, SpeedPlanner
 from models.spindle_speed.tool_point import EstimatedToolPoint
 from models.spindle_speed.tracked_tool_point import TrackedToolPoint
+from models.spindle_speed.tuning import SpeedPlan
 from models.spindle_speed.verification import StabilityVerification
 from models.stability.lobes import StabilityLobes
 from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
@@ -88,6 +89,23 @@ class OperationPlanning:
             return ""
         more = f" and {len(said) - NAMED} more" if len(said) > NAMED else ""
         return f"{', '.join(said[:NAMED])}{more}: see to it, then position the work again; the speed is frozen"
+
+    def unverified(self, plan: SpeedPlan) -> str:
+        """Return why the command may stand where nothing was verified, '' when it cannot.
+
+        It may be off the target by the hysteresis, and the target by what a flagged property is worth.
+        """
+        tuning, span_rpm = self._tuning, plan.flagged_span_rpm
+        allowed_rpm = tuning.tolerance_rpm(plan.choice.speed_rpm)
+        if not plan.choice.stable or not 0.0 < span_rpm <= tuning.hysteresis_rpm:
+            return ""
+        if span_rpm + tuning.hysteresis_rpm <= allowed_rpm:
+            return ""
+        return (
+            f"a flagged property moves the speed by {span_rpm:.0f} 1/min, and hysteresis_rpm of "
+            f"{tuning.hysteresis_rpm:g} comes to it: more than the tolerance of {allowed_rpm:.0f} within which a speed "
+            "is verified; the speed is frozen: lower hysteresis_rpm, or raise tolerance_percent"
+        )
 
     def planner(self, called: CalledOperation) -> SpeedPlanner:
         """Return what plans the speed of an operation; raises StabilityError where it cannot be planned."""
@@ -241,6 +259,7 @@ class SpeedPlanning:
                 if not changes and not problem:
                     problem = STEPS_UNKNOWN
                 plan = None if problem else planner.plan(known)
+                problem = problem if plan is None else planning.unverified(plan)
                 diagram = self._diagrams.of(called, planner, known, time_s)
             except StabilityError as error:
                 problem = str(error)

@@ -337,7 +337,7 @@ def tool_set_right(
     now_degc
         Mean increment of the labels that have one [K].
     now_s
-        Of these [s].
+        Of these [s]; where they were measured before the tool came, and arrive after it, it begins at them.
 
     Returns
     -------
@@ -353,9 +353,10 @@ def tool_set_right(
     for label, increment in now_degc.items():
         at_s, then = before.get(label, (now_s, increment))
         began_s = memory.tool_began_s
-        if label in begin_degc and now_s - at_s > LABEL_AWAY_S and at_s <= began_s < now_s:
-            known = min(began_s - at_s, now_s - began_s) <= TOOL_UNKNOWN_S
-            begin_degc[label] += (increment - then) * (began_s - at_s) / (now_s - at_s) if known else math.nan
+        if label in begin_degc and now_s - at_s > LABEL_AWAY_S and at_s <= began_s:
+            known = min(began_s - at_s, abs(now_s - began_s)) <= TOOL_UNKNOWN_S
+            share = min((began_s - at_s) / (now_s - at_s), 1.0)
+            begin_degc[label] += (increment - then) * share if known else math.nan
     if begin_degc == record.tool.begin_degc:
         return memory
     return replace(memory, record=replace(record, tool=replace(record.tool, begin_degc=MappingProxyType(begin_degc))))

@@ -1,5 +1,6 @@
 """The records of the reference: its memory, what a restart takes up again, and its messages to other parts."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -93,6 +94,18 @@ class ToolOrigin:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ToolSeen:
+    """Which tool was in the spindle at the latest poll, and who said so."""
+
+    number: int
+    shown: int
+    """What the control showed."""
+    named_by: int | None = None
+    """The program that had named it; None: the control's word counted."""
+    shown_when_named: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LabelOrigin:
     """What the mean of a label's sensors counts from; None where a sensor has no value."""
 
@@ -171,6 +184,7 @@ class ReferenceDocument:
     """The latest poll that was kept."""
     counts_with: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     """`ReferenceRules.counts_with` of the run that kept it."""
+    tool: ToolSeen | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,7 +209,7 @@ class ReferenceMemory:
     """A positioning block was polled since the handshake last reported one."""
     count_ahead: int = 0
     """1: the program's counter was raised and its positioning block not yet seen; -1: the other way round."""
-    tool_began_s: float = 0.0
+    tool_began_s: float = -math.inf
     """When the expansion of the tool in the spindle began to count [s]."""
     labels_left_s: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     """Since when sensors of a label have been away [s]."""

@@ -1,5 +1,6 @@
 """The tuning of the spindle speed in the daemon, on a CNC in this process that runs the shipped speed program."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from control_rig import HandClock, running
-from speed_machine import MACROS, bearing_model, speed_machine
+from speed_machine import COLD, MACROS, bearing_model, speed_machine
 from speed_rig import CUT, SAFE, SpeedRig
 
 from config.loader import parse_yaml_model
@@ -23,6 +24,7 @@ from drivers.guard.speed_text import SpeedStatus
 from models.errors import StabilityError
 from models.records import WriteOutcome
 from models.thermomechanics.artifact import model_to_json
+from models.thermomechanics.regression import Bounds, PropertyRegression, ThermomechanicalModel
 
 
 @pytest.fixture
@@ -125,6 +127,34 @@ async def test_a_flagged_property_blocks(tmp_path: Path) -> None:
         assert bench.picture()["state"] == "HOLD"
         assert "flagged property" in bench.picture()["alarm"]
         assert set(bench.written()) <= {0.0, 9000.0}
+
+
+def flagged_within(share: float) -> ThermomechanicalModel:
+    """The stiffness of bearings 3 and 4 is flagged, and known to a share."""
+
+    def of(known: PropertyRegression) -> PropertyRegression:
+        if known.name != "kt_34":
+            return known
+        return replace(known, bounds=Bounds(lowest=COLD["kt_34"], highest=COLD["kt_34"] * (1.0 + share)))
+
+    model = bearing_model(flagged="kt_34")
+    axes = {name: replace(axis, properties=tuple(map(of, axis.properties))) for name, axis in model.axes.items()}
+    return replace(model, axes=axes)
+
+
+@pytest.mark.parametrize(("share", "covered"), [(0.02, True), (0.05, False)])
+async def test_a_flagged_property_and_the_hysteresis_together_stay_within_what_is_verified(
+    tmp_path: Path, share: float, covered: bool
+) -> None:
+    """The command may stand off the target by the one, and the pocket by the other: 199 of 180 1/min."""
+    bench = SpeedRig(tmp_path, model=flagged_within(share), hysteresis_rpm=100.0)
+    async with running(bench.rig):
+        await bench.rig.turn()
+        speed_rpm, *_ = await bench.operation()
+        picture = bench.picture()
+        assert 50.0 < picture["flagged_span_rpm"] <= 100.0
+        assert picture["state"] == ("TUNED" if covered else "HOLD") and (speed_rpm != 9000.0) is covered
+        assert ("more than the tolerance of" in picture["alarm"]) is not covered
 
 
 async def test_no_stable_speed_is_the_programmed_one_and_an_alarm(bench: SpeedRig) -> None:

@@ -275,6 +275,27 @@ async def test_a_reference_waits_until_no_mean_holds_two_levels(task):
     assert task.references[-1].reference_id == "r2" and task.references[-1].degc[0] == 22.5
 
 
+async def test_a_reference_waits_until_no_mean_holds_what_a_silent_sensor_had(task):
+    """The nose went on warming, and the reference held what it had before: that stayed, 1.5 um, as long as it did."""
+    await task.minutes(4, spindle=20.0)
+    await task.minutes(1.5, spindle=[np.nan, 20.0, 20.0])
+    await task.ask()
+    refused = task.delivered[-1]
+    assert isinstance(refused, ReferenceRefused)
+    assert "sensor 1 has been silent for 9" in refused.why and "position again when it is back" in refused.why
+    await task.minutes(1.5, spindle=[21.0, 20.0, 20.0])
+    await task.ask("r2")
+    assert task.references[-1].reference_id == "r2" and task.references[-1].degc[0] == pytest.approx(21.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("silent_min", "heard"), [(0.3, True), (3.0, False)])
+async def test_a_short_silence_and_a_sensor_that_is_left_out_keep_no_reference_waiting(task, silent_min, heard):
+    await task.minutes(4, spindle=20.0)
+    await task.minutes(silent_min, spindle=[np.nan, 20.0, 20.0])
+    await task.ask()
+    assert task.references[-1].reference_id == "r1" and bool(np.isfinite(task.references[-1].degc[0])) is heard
+
+
 async def test_a_sensor_that_jumps_although_it_was_heard_all_the_time_is_doubted(task):
     """Its last value that counted is so old that the jump would be explained, but nobody was silent."""
     await task.minutes(2)

@@ -17,8 +17,15 @@ from models.records import Instant, Reference
 class Taken:
     """Takes what the references are told."""
 
+    left = tool_seen = None
+    kept_id: str | None = "r1"
+
     def __init__(self) -> None:
         self.tools: list[tuple[ToolOrigin, str | None]] = []
+
+    @property
+    def labels_at_reference(self) -> dict[str, tuple[float, float]]:
+        return {}
 
     def tool_begins(self, tool: ToolOrigin, counted_from: str | None, _shown_s: dict[str, float]) -> None:
         self.tools.append((tool, counted_from))
@@ -49,8 +56,10 @@ def test_what_a_label_had_since_another_reference_does_not_count() -> None:
     references = Taken()
     tool = ToolInSpindle(references)
     tool.on_sample(1, estimate(nose=4.0, room=1.0))
+    references.kept_id = "r2"
     tool.begin(2, estimate("r2", room=0.5))
     assert references.tools == [(ToolOrigin(number=2, begin_degc={"room": 0.5}), "r2")]
+    references.kept_id = None
     tool.begin(3, None)
     assert references.tools[1][1] is None
     assert replace(references.tools[1][0], begin_degc={}) == ToolOrigin(number=3, begin_degc={})
@@ -59,9 +68,16 @@ def test_what_a_label_had_since_another_reference_does_not_count() -> None:
 class Kept:
     """Keeps the reference's memory as the output does, without a store."""
 
+    left = tool_seen = None
+    kept_id = "r1"
+
     def __init__(self, memory: ReferenceMemory) -> None:
         self.memory = memory
         self.now_s = 0.0
+
+    @property
+    def labels_at_reference(self) -> dict[str, tuple[float, float]]:
+        return {"nose": (0.0, 0.0)}
 
     def tool_begins(self, tool: ToolOrigin, counted_from: str | None, shown_s: Mapping[str, float]) -> None:
         self.memory = reference.tool_begins(self.memory, tool, counted_from, self.now_s, shown_s)

@@ -347,7 +347,7 @@ def test_a_tool_that_comes_while_the_step_of_a_return_fades_counts_from_what_the
 
 @pytest.mark.parametrize(
     ("back_s", "began_s", "right_k"),
-    [(110.0, 5.0, 1.0), (110.0, 10.0, 1.0), (110.0, 60.0, 2.0), (110.0, 110.0, 1.0)]
+    [(110.0, 5.0, 1.0), (110.0, 10.0, 1.0), (110.0, 60.0, 2.0), (110.0, 110.0, 3.0), (110.0, 112.0, 3.0)]
     + [(210.0, 60.0, 1.5), (210.0, 160.0, 2.5), (210.0, 110.0, np.nan)],
 )
 def test_a_tool_that_came_while_nothing_was_heard_began_on_the_line_between_before_and_after(back_s, began_s, right_k):

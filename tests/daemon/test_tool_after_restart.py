@@ -1,0 +1,126 @@
+"""What a tool's setting and its expansion count from when the daemon was restarted, or no label has spoken yet."""
+
+import pytest
+from control_rig import Bench, Rig, running
+from nc_requests import REFERENCE, TOOL_CHANGE, Z_AXIS, answer, ask, requesting_bench
+
+from config.schema.compensation import ToolTermConfig
+
+TERM = ToolTermConfig(length_mm=200.0, expansion_um_per_m_k=10.0, temperatures={"A": 1.0})
+"""2 um per kelvin."""
+
+
+def expanding_bench(tmp_path) -> Bench:
+    """A machine whose tools expand with label A."""
+    bench = requesting_bench(tmp_path)
+    compensation = bench.configuration.compensation
+    axes = compensation.axes | {"z": compensation.axes["z"].model_copy(update={"tool_term": TERM})}
+    compensation = compensation.model_copy(update={"axes": axes})
+    bench.configuration = bench.configuration.model_copy(update={"compensation": compensation})
+    return bench
+
+
+async def let_pass(rig: Rig, seconds: float, nose_k: float | None, z_um: float = -4.0) -> None:
+    """Let time pass in steps of 5 s; None: the label has no value, as long as nothing was heard of it."""
+    label = {} if nose_k is None else {"A": nose_k}
+    for _ in range(round(seconds / 5.0)):
+        await rig.turn(rig.estimate(0.0, z_um, label_increment_degc=label), after_s=5.0)
+
+
+async def warmed(rig: Rig) -> None:
+    """The nose warms by 5 K, which is 4 um of the nose and 10 um of tool 1."""
+    await rig.active(handshake=True)
+    await let_pass(rig, 60.0, 5.0)
+    assert rig.applied["z"] == pytest.approx(14.0, abs=0.11)
+    rig.alive()
+
+
+@pytest.mark.parametrize(("away_s", "known"), [(5.0, True), (40.0, True), (300.0, False)])
+async def test_a_tool_that_came_while_the_daemon_was_away_has_not_expanded_since_the_reference(tmp_path, away_s, known):
+    bench = expanding_bench(tmp_path)
+    async with running(bench.rig()) as rig:
+        await warmed(rig)
+    bench.clock.monotonic_s += away_s
+    bench.nc.tool_number = 7
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        await let_pass(rig, 60.0, 5.0)
+        assert rig.state == ("ACTIVE" if known else "HOLD"), rig.control.memory.reason
+        assert rig.applied["z"] == pytest.approx(4.0 if known else 14.0, abs=0.11)
+        await let_pass(rig, 60.0, 6.0)
+        assert rig.applied["z"] == pytest.approx(6.0 if known else 14.0, abs=0.11)
+        bench.nc.tool_number = 8
+        await let_pass(rig, 60.0, 6.0)
+        assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(4.0, abs=0.11)
+
+
+@pytest.mark.parametrize(("silent_s", "known"), [(0.0, True), (30.0, True), (120.0, False)])
+async def test_a_tool_that_comes_before_the_first_estimate_after_a_restart(tmp_path, silent_s, known):
+    bench = expanding_bench(tmp_path)
+    async with running(bench.rig()) as rig:
+        await warmed(rig)
+        await let_pass(rig, 300.0, 5.0)
+    bench.clock.monotonic_s += 5.0
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        bench.nc.tool_number = 7
+        await rig.turn()
+        bench.clock.monotonic_s += silent_s
+        await rig.turn()
+        await let_pass(rig, 60.0, 5.0)
+        assert rig.state == ("ACTIVE" if known else "HOLD"), rig.control.memory.reason
+        assert rig.applied["z"] == pytest.approx(4.0 if known else 14.0, abs=1.0)
+
+
+async def test_a_tool_that_comes_before_its_label_has_spoken_since_the_reference_holds(tmp_path):
+    bench = expanding_bench(tmp_path)
+    async with running(bench.rig()) as rig:
+        await warmed(rig)
+        rig.set_reference("r2", handshake=True)
+        await let_pass(rig, 100.0, None)
+        stood = rig.applied["z"]
+        bench.nc.tool_number = 7
+        await let_pass(rig, 100.0, None)
+        await let_pass(rig, 100.0, 5.0)
+        assert rig.state == "HOLD" and "no estimate" in rig.control.memory.reason
+        assert rig.applied["z"] == pytest.approx(stood, abs=0.11)
+        rig.set_reference("r3", handshake=True)
+        await let_pass(rig, 100.0, 0.0, z_um=0.0)
+        assert rig.state == "ACTIVE", rig.control.memory.reason
+
+
+async def test_a_tool_that_came_while_the_link_was_lost_for_long_holds(tmp_path):
+    bench = expanding_bench(tmp_path)
+    async with running(bench.rig()) as rig:
+        await warmed(rig)
+        bench.nc.reachable = False
+        await let_pass(rig, 300.0, 5.0)
+        bench.nc.tool_number, bench.nc.reachable = 7, True
+        await rig.connected()
+        await let_pass(rig, 60.0, 5.0)
+        assert rig.state == "HOLD" and rig.applied["z"] == pytest.approx(14.0, abs=0.11)
+
+
+async def test_the_tool_that_the_program_has_named_is_known_after_a_restart(tmp_path):
+    """The control shows the one that is prepared while the other cuts."""
+    bench = requesting_bench(tmp_path)
+    async with running(bench.rig()) as rig:
+        await rig.active(handshake=True)
+        await rig.follow(0.0, -8.0, 40)
+        ask(bench, 1, TOOL_CHANGE, 0, 2.0)
+        await rig.turn(rig.estimate(0.0, -8.0))
+        ask(bench, 2, REFERENCE, Z_AXIS)
+        await rig.follow(0.0, -8.0, 4)
+        assert answer(bench) == 2.0
+        ask(bench, 3, TOOL_CHANGE, 0, 1.0)
+        await rig.follow(0.0, -12.0, 40)
+        bench.nc.tool_number = 2
+        await rig.turn()
+        assert "shows T2, and the NC program has named T1" in rig.control.memory.reason
+        rig.alive()
+    bench.clock.monotonic_s += 20.0
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        await rig.follow(0.0, -12.0, 10)
+        assert rig.state == "HOLD" and "shows T2, and the NC program has named T1" in rig.control.memory.reason
+        assert rig.control._measured.tool.number == 1
