@@ -92,7 +92,7 @@ def test_a_sensor_that_is_faster_than_the_default_allows_is_named_with_what_the_
 
 
 def test_temperatures_that_begin_at_zero_and_are_no_rises_are_named_before_they_are_played() -> None:
-    cold = made(np.linspace(0.02, 3.0, 60), 15.0)
+    cold = made(np.concatenate([np.full(8, 0.02), np.linspace(0.02, 3.0, 52)]), 15.0)
     (said,) = played_otherwise(cold, cold)
     assert "begins at 0 degC (Motor [°C])" in said and "--from-hours" in said
     later = cold.part(20, 60)
