@@ -53,6 +53,7 @@ class LinuxcncCnc(LinkedCnc):
         self._link: BridgeLink | None = None
         self._lacking: list[str] = []
         self._metric = False
+        self._file = ""
 
     @property
     def cannot(self) -> Mapping[str, str]:
@@ -85,6 +86,12 @@ class LinuxcncCnc(LinkedCnc):
         first = await self._link.ask(nml_file=str(self._linuxcnc.nml_file), clock=self._pins.clock)
         self.identity = f"linuxcnc:{first['machine']}"
 
+    def _program(self, path: str) -> int:
+        """Return the program's number; another file under the number of the one before has once one of its own."""
+        before, self._file = self._file, path
+        same = before != path and program_number(before) == program_number(path)
+        return number_of_path(path) if same else program_number(path)
+
     async def _sample(self, macros: Sequence[int]) -> CncSample:
         values, found = await self._read(macros)
         now = self._clock.now()
@@ -97,7 +104,7 @@ class LinuxcncCnc(LinkedCnc):
             mode=MODES.get(found["task_mode"], CncMode.UNKNOWN),
             run=RUNS.get(found["interp_state"], CncRun.UNKNOWN) if task == ON else CncRun.RESET,
             alarm=task not in (ON, OFF),
-            program=program_number(str(found["file"])),
+            program=self._program(str(found["file"])),
             sequence_number=0,
             spindle_speed_rpm=math.nan if speed is None else float(speed),
             motor_temperature_degc=math.nan,
@@ -172,7 +179,12 @@ def program_number(path: str) -> int:
     name = path.rpartition("/")[2].rpartition(".")[0] or path
     if named := re.fullmatch(r"[oO]?(\d{1,7})", name):
         return int(named[1])
-    return 10_000_000 + zlib.crc32(path.encode()) % 1_000_000_000 if path else 0
+    return number_of_path(path) if path else 0
+
+
+def number_of_path(path: str) -> int:
+    """Return a number above 9 999 999 that is made of a file's path; two paths have the same one by chance only."""
+    return 10_000_000 + zlib.crc32(path.encode()) % 1_000_000_000
 
 
 def work_offset(index: int) -> int:

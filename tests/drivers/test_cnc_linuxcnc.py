@@ -14,7 +14,7 @@ from scripted_machine import cnc_config
 
 from drivers.clock import SystemClock
 from drivers.contract import Cnc, FatalDriverError, LinkError, NotSentError
-from drivers.linuxcnc.cnc import LinuxcncCnc
+from drivers.linuxcnc.cnc import LinuxcncCnc, number_of_path
 from drivers.linuxcnc_pins import VACANT, Pins
 from models.records import CncMode, CncRun
 
@@ -120,6 +120,20 @@ async def test_a_subroutine_in_a_file_of_its_own_is_no_other_program(bench: Linu
             samples.append(await cnc.read([]))
             await asyncio.sleep(0.01)
     assert len(samples) > 3 and {(sample.program, sample.work_offset) for sample in samples} == {(1000, 54)}
+    await cnc.close()
+
+
+async def test_another_file_of_the_same_name_shows_once_as_another_program(bench: LinuxcncBench) -> None:
+    part, other = (bench.linuxcnc.directory / folder / "o1000.ngc" for folder in ("", "other"))
+    other.parent.mkdir()
+    cnc = await connected(bench)
+    await bench.linuxcnc.switch_on()
+    seen = []
+    for path in (part, other, part):
+        path.write_text("G21 G90 G54\nM2\n", encoding="ascii")
+        await bench.linuxcnc.do(["mode", "MODE_AUTO"], ["wait"], ["program_open", str(path)], ["wait"])
+        seen.append([(await cnc.read([])).program for _ in range(3)])
+    assert seen == [[1000] * 3, [number_of_path(str(other)), 1000, 1000], [number_of_path(str(part)), 1000, 1000]]
     await cnc.close()
 
 
