@@ -55,10 +55,6 @@ class RollingMean:
         self._rows[self._first + len(self._times_s)] = values
         self._times_s.append(time_s)
 
-    def move(self, by: FloatArray) -> None:
-        """Add to all vectors that are in the mean, as if each had been measured so; `by`, shape (n_sensors,)."""
-        self._rows[self._first : self._first + len(self._times_s)] += by
-
     def _forget(self, oldest_s: float) -> None:
         """Let go of what has left the window."""
         gone = 0

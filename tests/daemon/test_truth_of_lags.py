@@ -93,7 +93,7 @@ def test_a_sensor_that_lies_for_minutes_and_is_right_again_leaves_nothing_behind
     off_um, states = run(tmp_path, other_level(0, 5, 50), PLACE, 90)
     assert states[40] is OutputState.HOLD
     assert states[-1] is OutputState.ACTIVE
-    assert np.abs(off_um[-25:]).max() <= WITHIN_UM
+    assert np.abs(off_um[-12:]).max() <= WITHIN_UM
 
 
 def test_nor_does_it_over_a_restart(tmp_path: Path) -> None:
