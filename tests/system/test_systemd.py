@@ -82,6 +82,11 @@ def test_the_sinks_read_the_daemons_store_as_its_user_and_come_after_it() -> Non
     assert int(settings("OOMScoreAdjust", SINK)[0]) > 0 > int(settings("OOMScoreAdjust")[0])
 
 
+@pytest.mark.parametrize("unit", [UNIT, SINK])
+def test_it_begins_when_the_calendar_is_right(unit: Path) -> None:
+    assert "time-sync.target" in settings("After", unit)[0].split()
+
+
 def test_secrets_reach_the_daemon_as_credentials() -> None:
     """The lines are commented out because a missing file would keep the service from starting."""
     lines = UNIT.read_text("utf-8").splitlines()
