@@ -86,6 +86,11 @@ class ModelInUse:
                 known_h.append(self._period_s / 3600.0)
             yield time_min, degc, speed_rpm
 
+    @property
+    def memory_s(self) -> float:
+        """How far back it is filled from the history [s]."""
+        return self._online.memory_min * 60.0
+
     def on_sample(self, now_s: float, degc: FloatArray, speed_rpm: float) -> None:
         """Take the means of the last minute: temperatures [degC] and spindle speed [1/min], NaN where unknown."""
         self._online.on_sample(now_s / 60.0, degc[self._inputs], speed_rpm)

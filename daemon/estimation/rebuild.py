@@ -1,8 +1,10 @@
 """Reads means per period from the store, from which a model's states are rebuilt."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 import structlog
 
 from config.schema import Configuration
@@ -20,6 +22,20 @@ RECALL_S = 600.0
 """What was accepted last is looked for in windows of this length, back from now [s]."""
 LEAD_S = 120.0
 """Read a little earlier, so that a value that is held at the window's begin is known [s]."""
+STEPPED_S = 2.0
+"""The calendar was set where it differs by more from the monotonic clock than before [s]."""
+MATTERS_S = 60.0
+"""What was read of the past is read again when the calendar was set by more [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Span:
+    """Of the monotonic clock, in which the calendar was not set."""
+
+    from_s: float
+    until_s: float
+    to_utc_s: float
+    """UTC minus the monotonic clock, for its rows in the store."""
 
 
 class HistoryBackfill:
@@ -32,11 +48,24 @@ class HistoryBackfill:
         self._longest_s = configuration.compensation.reference.max_outage_s
         self._clock = clock
         self._positions = positions
+        now = clock.now()
+        self._calendar = [(now.monotonic_s, now.utc_s - now.monotonic_s)]
+        """From when on [s], and UTC minus the monotonic clock then [s]."""
+
+    def calendar_set(self, memory_s: float) -> bool:
+        """Whether the calendar was set since this was asked last, so that what was read was read at wrong times.
+
+        `memory_s`: how far back it is read; of the time since the start the order is known without the calendar.
+        """
+        now = self._clock.now()
+        before_s, to_utc_s = self._calendar[-1][1], now.utc_s - now.monotonic_s
+        if abs(to_utc_s - before_s) <= STEPPED_S:
+            return False
+        self._calendar.append((now.monotonic_s, to_utc_s))
+        return abs(to_utc_s - before_s) > MATTERS_S and now.monotonic_s - self._calendar[0][0] < memory_s
 
     def means(self, from_s: float, to_s: float, period_s: float) -> Iterator[tuple[float, FloatArray, float]]:
         """Yield time, temperatures [degC] and spindle speed [1/min] as means that end at each period's end."""
-        now = self._clock.now()
-        to_utc_s = now.utc_s - now.monotonic_s
         if not self._store.is_file():
             return
         try:
@@ -45,7 +74,7 @@ class HistoryBackfill:
                 begin_s = from_s
                 while begin_s < to_s - 1e-6:
                     end_s = min(begin_s + window_s, to_s)
-                    yield from self._window(reader, begin_s, end_s, period_s, to_utc_s)
+                    yield from self._window(reader, begin_s, end_s, period_s)
                     begin_s = end_s
         except HistoryError as error:
             log.error("history.unreadable", problem=str(error))
@@ -76,22 +105,49 @@ class HistoryBackfill:
         return degc, at_s
 
     def _window(
-        self, reader: HistoryReader, begin_s: float, end_s: float, period_s: float, to_utc_s: float
+        self, reader: HistoryReader, begin_s: float, end_s: float, period_s: float
     ) -> Iterator[tuple[float, FloatArray, float]]:
-        found = reader.temperatures(self._sensor_ids, begin_s + to_utc_s - LEAD_S, end_s + to_utc_s)
-        cnc = reader.cnc(begin_s + to_utc_s, end_s + to_utc_s)
-        degc, at_s, cnc_s = found.cleansed(), found.time_s - to_utc_s, cnc.time_s - to_utc_s
-        none, names = np.full(len(cnc_s), np.nan), self._positions.names
-        told = [self._positions.believed(name, cnc_s, cnc.positions_mm.get(name, none)) for name in names]
-        positions = np.array(told).reshape(len(names), len(cnc_s)).T
+        spans = [span for span in self._spans() if span.from_s < end_s and span.until_s > begin_s]
+        rows = [self._rows(reader, span, begin_s, end_s) for span in spans]
+        at_s, degc, cnc_s, speed_rpm, positions = (np.concatenate(part) for part in zip(*rows, strict=True))
         for last_s in np.arange(begin_s + period_s, end_s + 1e-6, period_s):
             inside = (at_s > last_s - period_s) & (at_s <= last_s)
-            speeds = cnc.spindle_speed_rpm[(cnc_s > last_s - period_s) & (cnc_s <= last_s)]
-            means = _mean_of_known(degc[inside])
-            if names:
-                polled = (cnc_s > last_s - period_s) & (cnc_s <= last_s)
-                means = np.concatenate([means, _mean_of_known(positions[polled])])
-            yield float(last_s), means, float(_mean_of_known(speeds[:, None])[0])
+            polled = (cnc_s > last_s - period_s) & (cnc_s <= last_s)
+            means = np.concatenate([_mean_of_known(degc[inside]), _mean_of_known(positions[polled])])
+            yield float(last_s), means, float(_mean_of_known(speed_rpm[polled, None])[0])
+
+    def _spans(self) -> list[_Span]:
+        """Return when the calendar was which: of before this run what it is now, because who sets it sets it right."""
+        calendar = list(self._calendar)
+        until_s = [since_s for since_s, _ in calendar[1:]] + [np.inf]
+        own = [_Span(since_s, until, to_utc_s) for (since_s, to_utc_s), until in zip(calendar, until_s, strict=True)]
+        before = _Span(-np.inf, own[0].from_s, own[-1].to_utc_s)
+        return [before, *own] if len(own) > 1 else [replace(own[0], from_s=-np.inf)]
+
+    def _rows(
+        self, reader: HistoryReader, span: _Span, begin_s: float, end_s: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return times [s] and temperatures [degC], times [s], speeds [1/min] and axis positions [mm] of a span."""
+        begin_s, end_s, to_utc_s = max(begin_s, span.from_s), min(end_s, span.until_s), span.to_utc_s
+        found = reader.temperatures(self._sensor_ids, begin_s + to_utc_s - LEAD_S, end_s + to_utc_s)
+        cnc = reader.cnc(begin_s + to_utc_s, end_s + to_utc_s)
+        of_cycles, of_cnc = self._of(span, found.time_s, found.monotonic_s), self._of(span, cnc.time_s, cnc.monotonic_s)
+        cnc_s, none = cnc.time_s[of_cnc] - to_utc_s, np.full(len(cnc.time_s), np.nan)
+        names = self._positions.names
+        told = [self._positions.believed(name, cnc_s, cnc.positions_mm.get(name, none)[of_cnc]) for name in names]
+        positions = np.array(told).reshape(len(names), len(cnc_s)).T
+        at_s, degc = found.time_s[of_cycles] - to_utc_s, found.cleansed()[of_cycles]
+        return at_s, degc, cnc_s, cnc.spindle_speed_rpm[of_cnc], positions
+
+    def _of(self, span: _Span, utc_s: FloatArray, monotonic_s: FloatArray) -> npt.NDArray[np.bool_]:
+        """Tell which rows are of a span: those of another stand at the same calendar time where it was set back."""
+        if len(self._calendar) == 1:
+            return np.ones(len(utc_s), dtype=np.bool_)
+        apart_s = utc_s - monotonic_s
+        if np.isfinite(span.from_s):
+            return np.asarray(np.abs(apart_s - span.to_utc_s) <= STEPPED_S)
+        of_run = np.min([np.abs(apart_s - to_utc_s) for _, to_utc_s in self._calendar], axis=0) <= STEPPED_S
+        return np.asarray(~(of_run & (monotonic_s >= self._calendar[0][0])))
 
 
 def _mean_of_known(values: FloatArray) -> FloatArray:

@@ -241,7 +241,8 @@ class ThermalTask:
         if (jumped_k := self._cleansing.jumped_k) is not None:
             for each in filter(None, (self._online, self._next)):
                 each.jumped(jumped_k)
-        if self._cleansing.gap_ended and self._online is not None:
+        read_wrong = self._online is not None and self._past.calendar_set(self._online.memory_s)
+        if (self._cleansing.gap_ended and self._online is not None) or read_wrong:
             models = [each.model for each in (self._online, self._next) if each is not None]
             for place, model in enumerate(models):
                 await self.use_model(model, at_once=place == 0)

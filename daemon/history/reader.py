@@ -72,6 +72,7 @@ def naming_damage(path: Path) -> Iterator[None]:
         ) from error
 
 
+OF_CYCLE = ("utc_ms", "monotonic_ms", "number")
 NEWEST_OF_FILES = "max(utc_ms) FROM displacements WHERE source NOT LIKE ?"
 
 
@@ -138,16 +139,15 @@ class HistoryReader:
         return [(layout_id, name, json.loads(members)) for layout_id, name, members in found]
 
     def _cycles(self, layout_id: int, positions: list[int], from_ms: int, to_ms: int) -> Iterator[CycleBlock]:
-        names = ("utc_ms", "number")
         for data in self._chunks(TEMPERATURES, layout_id, from_ms, to_ms):
-            yield decode_temperatures(data, positions, names)
+            yield decode_temperatures(data, positions, OF_CYCLE)
         rows = self._connection.execute(
-            "SELECT utc_ms, number, counts, flags FROM temperature_cycles "
+            f"SELECT {', '.join(OF_CYCLE)}, counts, flags FROM temperature_cycles "
             "WHERE layout_id = ? AND utc_ms >= ? AND utc_ms < ? ORDER BY id",
             (layout_id, from_ms, to_ms),
         ).fetchall()
         if rows:
-            block = cycle_block(names, rows)
+            block = cycle_block(OF_CYCLE, rows)
             yield replace(
                 block,
                 counts=block.counts[:, positions],
@@ -198,6 +198,7 @@ class HistoryReader:
         frame = self.frame(CNC, from_utc_s, to_utc_s)
         return CncHistory(
             time_s=time_s_of(frame),
+            monotonic_s=frame.integers("monotonic_ms") / 1e3,
             mode=texts_of(frame, "mode"),
             run=texts_of(frame, "run"),
             alarm=frame.integers("alarm").astype(bool),

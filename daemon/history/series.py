@@ -21,6 +21,8 @@ class TemperatureHistory:
     sensor_ids: tuple[int, ...]
     time_s: FloatArray
     """UTC of the cycle's first byte [s]."""
+    monotonic_s: FloatArray
+    """The same on the monotonic clock [s]."""
     line: tuple[str, ...]
     number: IntArray
     degc: FloatArray
@@ -62,6 +64,7 @@ class CncHistory:
     """Polls of the CNC."""
 
     time_s: FloatArray
+    monotonic_s: FloatArray
     mode: tuple[str, ...]
     run: tuple[str, ...]
     alarm: npt.NDArray[np.bool_]

@@ -452,3 +452,42 @@ async def test_enabling_is_refused_with_the_reason_while_the_states_are_not_know
     async with running(bench.rig(model_problem=why)) as rig:
         await rig.turn()
         assert rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p") == why
+
+
+@pytest.mark.parametrize("behind_min", [29.0, 400.0, -600.0])
+async def test_the_past_is_read_again_when_a_calendar_that_was_wrong_at_the_start_is_set_right(
+    tmp_path, model, behind_min
+):
+    """A computer without a clock of its own begins where its calendar stood, until a time server answers."""
+    shops = []
+    for name, wrong_s in (("twin", 0.0), ("set", 60.0 * behind_min)):
+        (tmp_path / name).mkdir()
+        shop = Shop(tmp_path / name, model)
+        await shop.prepare()
+        await shop.run(5 * 60)
+        await shop.end()
+        shop.clock.monotonic_s += 1800.0
+        shop.minute += 30.0
+        shop.clock.calendar_s -= wrong_s
+        shop.begin()
+        await shop.prepare()
+        await shop.run(3)
+        shop.clock.calendar_s += wrong_s
+        await shop.run(2)
+        await shop.history.flushed()
+        shops.append(shop)
+    read = []
+    for shop in shops:
+        now_s = shop.clock.now().monotonic_s
+        read.append([(time_s, *row) for time_s, row, _ in shop.task._past.means(now_s - 36000.0, now_s, 60.0)])
+    right, again = np.array(read[0]), np.array(read[1])
+    np.testing.assert_allclose(again[:-6], right[:-6], equal_nan=True)
+    assert np.isfinite(again[:, 1]).sum() == pytest.approx(305, abs=3)
+    for shop in shops:
+        await shop.refer()
+        await shop.run(60)
+    twin, loop = (shop.latest for shop in shops)
+    assert loop.confidence == pytest.approx(twin.confidence, abs=0.02)
+    np.testing.assert_allclose(loop.thermal_error_um, twin.thermal_error_um, atol=1.0)
+    for shop in shops:
+        await shop.end()

@@ -67,10 +67,11 @@ class HandClock:
     def __init__(self, monotonic_s: float = 1000.0, *, speed: float = 1.0) -> None:
         self.monotonic_s = monotonic_s
         self.speed = speed
+        self.calendar_s = EPOCH_S
 
     def now(self) -> Instant:
         return Instant(
-            monotonic_s=self.monotonic_s, utc_s=EPOCH_S + self.monotonic_s, real_s=self.monotonic_s / self.speed
+            monotonic_s=self.monotonic_s, utc_s=self.calendar_s + self.monotonic_s, real_s=self.monotonic_s / self.speed
         )
 
     async def sleep(self, duration_s: float) -> None:

@@ -49,6 +49,7 @@ def merge_cycles(
     """Return the cycles of several lines as rows of one table, in order of time."""
     rows = sum(content.cycles.rows for _, _, content in parts)
     times_ms, number = np.empty(rows, dtype=np.int64), np.empty(rows, dtype=np.int64)
+    monotonic_ms = np.empty(rows, dtype=np.int64)
     degc = np.full((rows, len(sensor_ids)), np.nan)
     quality = np.full(degc.shape, NOT_IN_CYCLE, dtype=np.uint8)
     reason = np.full(degc.shape, NOT_IN_CYCLE, dtype=np.uint8)
@@ -57,6 +58,7 @@ def merge_cycles(
     for line, columns, content in parts:
         here = slice(at, at + content.cycles.rows)
         times_ms[here], number[here] = content.cycles.integers("utc_ms"), content.cycles.integers("number")
+        monotonic_ms[here] = content.cycles.integers("monotonic_ms")
         degc[here, columns] = degc_from_int16(content.counts)
         quality[here, columns], reason[here, columns] = content.quality, content.reason
         lines += [line] * content.cycles.rows
@@ -66,6 +68,7 @@ def merge_cycles(
     return TemperatureHistory(
         sensor_ids=sensor_ids,
         time_s=times_ms[order] / 1e3,
+        monotonic_s=monotonic_ms[order] / 1e3,
         line=tuple(lines[i] for i in order.tolist()),
         number=number[order],
         degc=degc[order],
