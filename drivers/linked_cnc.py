@@ -129,6 +129,12 @@ class LinkedCnc(ABC):
             self._lose(f"{self._name}: system variable #{number} is vacant, and the machine's state needs it")
         return value
 
+    def _whole(self, number: int, value: float) -> int:
+        """Return the value of a system variable that counts; raises LinkError where it has a fraction."""
+        if not value.is_integer():
+            self._lose(f"{self._name}: system variable #{number} holds {value:g}, which is no whole number")
+        return int(value)
+
     def _standing(self, link: AnyLink | None) -> AnyLink:
         """Return the link, which stands; raises LinkError."""
         if link is None or link.lost is not None:

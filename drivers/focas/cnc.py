@@ -153,7 +153,7 @@ class FocasCnc(LinkedCnc):
             clock_s=clock_ms / 1000.0,
             power_on_count=self._power_on_count,
             work_offset=int(offset) if offset.is_integer() else await self._additional_offset(offset),
-            tool_number=round(tool),
+            tool_number=self._whole(self._focas.tool_macro, tool),
             macros={number: values[number] for number in macros},
             positions_mm=state.positions_mm,
         )

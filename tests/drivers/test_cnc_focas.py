@@ -140,6 +140,9 @@ async def test_a_missing_state_is_refused_with_what_is_missing(control: Control)
         await control.connected(focas={"path": 2})
     with pytest.raises(LinkError, match=r"#550 is vacant, and the machine's state needs it"):
         await control.connected(focas={"tool_macro": 550})
+    control.nc.macros.set(551, 2.5)
+    with pytest.raises(LinkError, match=r"#551 holds 2\.5, which is no whole number"):
+        await (await control.connected(focas={"tool_macro": 551})).read([])
 
 
 async def test_a_sixth_session_is_told_what_to_end(control: Control) -> None:

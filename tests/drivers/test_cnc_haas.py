@@ -178,6 +178,10 @@ async def test_what_a_control_leaves_vacant_is_said_with_its_reason(control: Con
     await cnc.close()
     with pytest.raises(LinkError, match="#553 is vacant, and the machine's state needs it"):
         await control.connected(haas={"tool_macro": 553})
+    control.nc.macros.set(554, 2.5)
+    for name in ("tool_macro", "program_macro", "sequence_number_macro"):
+        with pytest.raises(LinkError, match=r"#554 holds 2\.5, which is no whole number"):
+            await (await control.connected(haas={name: 554})).read([])
     with pytest.raises(LinkError, match=r"it does not understand \?Q600 99: check cnc\.macros"):
         await control.connected(haas={"tool_macro": 99}, timeout_s=0.3)
 
