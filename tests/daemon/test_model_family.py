@@ -102,6 +102,8 @@ class MeanOnline:
 
     def on_sample(self, time_min: float, degc: FloatArray, speed_rpm: float) -> None: ...
 
+    def jumped(self, jump_k: FloatArray) -> None: ...
+
     def set_reference(self, reference: OnlineReference) -> tuple[int, ...]:
         self._then = reference.degc.copy()
         return ()

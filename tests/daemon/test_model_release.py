@@ -164,7 +164,9 @@ def test_a_model_that_nobody_released_is_refused(folder):
     configuration = configured(folder)
     (folder / "models/model.json").write_text(model().to_json(), encoding="utf-8")
     assert "nobody has released" in as_user(OTHER, lambda: load_released(configuration, own_account()).inhibit)
-    with pytest.raises(ReleaseError, match="which nobody released; move it away"):
+    with pytest.raises(
+        ReleaseError, match="which nobody released and nobody can go back to; move it to another folder"
+    ):
         release(configuration, proposal(folder, model()), person="anna")
 
 
