@@ -78,7 +78,7 @@ def database_kill(server: Server, *settings: str) -> Kill:
 def plant_broker(folder: Path) -> Mosquitto:
     """Return a broker with the settings that ship, but for its place."""
     shipped = (Path(__file__).parents[2] / "systemd/plant/mosquitto.conf").read_text("utf-8").splitlines()
-    settings = [line for line in shipped if line and not line.startswith(("#", "listener"))]
+    settings = [line for line in shipped if line and not line.startswith(("#", "listener", "persistence_location"))]
     return Mosquitto(folder, *settings, f"persistence_location {folder}/")
 
 
