@@ -324,13 +324,18 @@ async def test_a_clock_that_went_on_too_little_while_the_daemon_was_away_is_a_po
         assert any("switched off and on" in notice for notice in rig.control.journal.notices)
 
 
-async def test_zero_first_takes_the_offset_out_at_the_retreat_block_and_refuses_a_reference_before(tmp_path):
-    bench = Bench(tmp_path)
+def zero_first(bench):
+    """Let the offset be taken out at a retreat block before the work is positioned."""
     reference = bench.configuration.compensation.reference.model_copy(
         update={"policy": "zero_first", "retreat_sequence_numbers": [50]}
     )
     compensation = bench.configuration.compensation.model_copy(update={"reference": reference})
     bench.configuration = bench.configuration.model_copy(update={"compensation": compensation})
+    return bench
+
+
+async def test_zero_first_takes_the_offset_out_at_the_retreat_block_and_refuses_a_reference_before(tmp_path):
+    bench = zero_first(Bench(tmp_path))
     async with running(bench.rig()) as rig:
         await rig.active()
         await rig.follow(0.0, -8.0, 40)
@@ -384,12 +389,7 @@ async def test_a_reference_that_comes_after_its_work_offset_was_left_is_refused(
 
 async def test_a_reference_by_hand_that_is_refused_while_a_probe_waits_for_its_step_has_no_part_in_it(tmp_path):
     """The thermal task has begun to count from it before it hears of the refusal."""
-    bench = requesting_bench(tmp_path)
-    reference = bench.configuration.compensation.reference.model_copy(
-        update={"policy": "zero_first", "retreat_sequence_numbers": [50]}
-    )
-    compensation = bench.configuration.compensation.model_copy(update={"reference": reference})
-    bench.configuration = bench.configuration.model_copy(update={"compensation": compensation})
+    bench = zero_first(requesting_bench(tmp_path))
     async with running(bench.rig()) as rig:
         await rig.active()
         await rig.follow(0.0, -8.0, 40)
