@@ -2,7 +2,7 @@
 
 import pytest
 from control_rig import Bench, Rig, running
-from nc_requests import REFERENCE, TOOL_CHANGE, Z_AXIS, answer, ask, requesting_bench
+from nc_requests import requesting_bench, tool_2_set
 
 from config.schema.compensation import ToolTermConfig
 
@@ -105,15 +105,7 @@ async def test_the_tool_that_the_program_has_named_is_known_after_a_restart(tmp_
     """The control shows the one that is prepared while the other cuts."""
     bench = requesting_bench(tmp_path)
     async with running(bench.rig()) as rig:
-        await rig.active(handshake=True)
-        await rig.follow(0.0, -8.0, 40)
-        ask(bench, 1, TOOL_CHANGE, 0, 2.0)
-        await rig.turn(rig.estimate(0.0, -8.0))
-        ask(bench, 2, REFERENCE, Z_AXIS)
-        await rig.follow(0.0, -8.0, 4)
-        assert answer(bench) == 2.0
-        ask(bench, 3, TOOL_CHANGE, 0, 1.0)
-        await rig.follow(0.0, -12.0, 40)
+        await tool_2_set(rig, bench)
         bench.nc.tool_number = 2
         await rig.turn()
         assert "shows T2, and the NC program has named T1" in rig.control.memory.reason

@@ -2,7 +2,7 @@
 
 import pytest
 from control_rig import running
-from nc_requests import REFERENCE, TOOL_CHANGE, Z_AXIS, answer, ask, requesting_bench
+from nc_requests import TOOL_CHANGE, answer, ask, requesting_bench, tool_2_set
 
 from daemon.messages import ReferenceEnded, ReferenceTakenUp
 
@@ -10,20 +10,6 @@ from daemon.messages import ReferenceEnded, ReferenceTakenUp
 @pytest.fixture
 def bench(tmp_path):
     return requesting_bench(tmp_path)
-
-
-async def tool_2_set(rig, bench):
-    """Set tool 2 with 8 um applied, then take tool 1, and let the machine go on by 4 um."""
-    await rig.active(handshake=True)
-    await rig.follow(0.0, -8.0, 40)
-    ask(bench, 1, TOOL_CHANGE, 0, 2.0)
-    await rig.turn(rig.estimate(0.0, -8.0))
-    ask(bench, 2, REFERENCE, Z_AXIS)
-    await rig.follow(0.0, -8.0, 4)
-    assert answer(bench) == 2.0
-    ask(bench, 3, TOOL_CHANGE, 0, 1.0)
-    await rig.follow(0.0, -12.0, 30)
-    assert rig.applied["z"] == pytest.approx(12.0, abs=0.11)
 
 
 async def take_tool_2(rig, bench, counter, z_um):

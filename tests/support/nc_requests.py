@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pytest
 from control_rig import Bench, Rig
 
 from daemon.messages import ReferenceRequest
@@ -33,3 +34,17 @@ def answer(bench: Bench) -> float | None:
 def last_asked(rig: Rig) -> ReferenceRequest:
     """Return the latest reference that the thermal task was asked for."""
     return next(item for item in reversed(rig.asked) if isinstance(item, ReferenceRequest))
+
+
+async def tool_2_set(rig: Rig, bench: Bench) -> None:
+    """Set tool 2 with 8 um applied, then take tool 1, and let the machine go on by 4 um."""
+    await rig.active(handshake=True)
+    await rig.follow(0.0, -8.0, 40)
+    ask(bench, 1, TOOL_CHANGE, 0, 2.0)
+    await rig.turn(rig.estimate(0.0, -8.0))
+    ask(bench, 2, REFERENCE, Z_AXIS)
+    await rig.follow(0.0, -8.0, 4)
+    assert answer(bench) == 2.0
+    ask(bench, 3, TOOL_CHANGE, 0, 1.0)
+    await rig.follow(0.0, -12.0, 30)
+    assert rig.applied["z"] == pytest.approx(12.0, abs=0.11)
