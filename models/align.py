@@ -55,6 +55,11 @@ class RollingMean:
         self._rows[self._first + len(self._times_s)] = values
         self._times_s.append(time_s)
 
+    def leave_out(self, sensors: npt.NDArray[np.bool_]) -> None:
+        """Leave out what is in the mean of some sensors until now; `sensors`, shape (n_sensors,): which."""
+        if self._times_s:
+            self._rows[self._first : self._first + len(self._times_s), sensors] = np.nan
+
     def _forget(self, oldest_s: float) -> None:
         """Let go of what has left the window."""
         gone = 0
@@ -83,13 +88,6 @@ class RollingMean:
         if not self._times_s:
             raise ValueError("no vector has been added yet")
         return _mean_of_known(self._rows[self._first : self._first + len(self._times_s)])
-
-    @property
-    def delay_s(self) -> float:
-        """How far the mean lies behind the newest vector [s]: its age in the mean; 0 when empty."""
-        if not self._times_s:
-            return 0.0
-        return self._newest_s - float(np.mean(self._times_s))
 
 
 def _mean_of_known(rows: FloatArray) -> FloatArray:

@@ -148,10 +148,12 @@ def renewed_levels(levels: SensorLevels, group: GroupArray, seen: BelievedValues
     return replace(levels, recent=(*kept, (seen.now_s, degc)))
 
 
-def unshifted(levels: SensorLevels, time_s: float, degc: FloatArray, until_s: float = np.inf) -> FloatArray:
+def unshifted(
+    levels: SensorLevels, time_s: float, degc: FloatArray, until_s: float = np.inf, mean_s: float = 0.0
+) -> FloatArray:
     """Return temperatures of a time in the past [degC] without the shifts of then, at the levels of a later time.
 
-    What a sensor was read as within a gap is NaN.
+    What a sensor was read as within a gap is NaN, and so is a mean that holds two of its levels.
 
     Parameters
     ----------
@@ -163,6 +165,8 @@ def unshifted(levels: SensorLevels, time_s: float, degc: FloatArray, until_s: fl
         As they were read [degC].
     until_s
         The later time: what has jumped until then is told as if it had always been there [s].
+    mean_s
+        They are means over so long until `time_s` [s].
 
     """
     shift_k = levels.shift_k
@@ -175,7 +179,9 @@ def unshifted(levels: SensorLevels, time_s: float, degc: FloatArray, until_s: fl
         shift_k = shift_k.copy()
         for jumped_s, index, jump_k in levels.jumps:
             shift_k[index] -= jump_k if time_s < jumped_s <= until_s else 0.0
-    if inside := [index for from_s, to_s, sensors in levels.gaps for index in sensors if from_s < time_s <= to_s]:
+    inside = [index for from_s, to_s, sensors in levels.gaps for index in sensors if from_s < time_s <= to_s]
+    inside += [index for at_s, index, _ in (*levels.changes, *levels.jumps) if 0.0 <= time_s - at_s < mean_s]
+    if inside:
         shift_k = shift_k.copy()
         shift_k[inside] = np.nan
     return degc - shift_k

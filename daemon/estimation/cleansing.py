@@ -235,6 +235,8 @@ class Cleansing:
         )
         were, self.levels = self.levels, renewed_levels(self.levels, self._group, seen)
         self.jumped_k = jumped_k(were, self.levels)
+        if self.jumped_k is not None:
+            self._mean.leave_out(self.jumped_k != 0.0)
         self._goes_on(cycle.line, were, result.quality, now_s)
         self._mean.add(now_s, degc - self.levels.shift_k)
         self.latest = MachineTemperatures(

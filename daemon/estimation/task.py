@@ -366,7 +366,7 @@ def _means_of(past: HistoryBackfill, cleansing: Cleansing, count: int) -> Histor
     def means(from_s: float, to_s: float, period_s: float) -> Iterator[tuple[float, FloatArray, float]]:
         levels = cleansing.levels
         for time_s, row, speed_rpm in past.means(from_s, to_s, period_s):
-            degc = unshifted(levels, time_s, row[:count], to_s)
+            degc = unshifted(levels, time_s, row[:count], to_s, period_s)
             yield time_s, np.concatenate([degc, row[count:]]) if len(row) > count else degc, speed_rpm
 
     return means
@@ -406,14 +406,14 @@ def _waits_for(
         return to.waits
     now_s = renewed.trace.first_byte.monotonic_s
     same = (before.reference_id, before.imputed) == (renewed.reference_id, renewed.imputed)
-    trusted = renewed.in_domain and renewed.confidence >= cleansing.least
+    trusted = all(each.in_domain and each.confidence >= cleansing.least for each in (before, renewed))
     trusted = trusted and positions.trust(to.model, now_s, ())[0] >= cleansing.least
     if not trusted:
         to.waits = "the estimate that it would go on from is not trusted"
     elif renewed.held_s > 0.0:
         to.waits = f"a sensor that counts has been silent for {renewed.held_s:.0f} s"
-    elif not same or renewed.fading_um > UNSURE_UM / 2:
-        to.waits = "sensors have just left or returned, or the work was positioned"
+    elif cleansing.jumped_k is not None or not same or renewed.fading_um > UNSURE_UM / 2:
+        to.waits = "sensors have just left, returned or jumped, or the work was positioned"
     else:
         late = now_s - before.trace.first_byte.monotonic_s > cleansing.window_s / 2
         to.waits = "no temperatures came for a while" if late else ""

@@ -17,6 +17,7 @@ from models.records import FloatArray, OutputState
 from models.thermal.linear import LinearModel
 
 MODEL = lagged_model("long", lags_min=(1.0, 10.0))
+SHORT = lagged_model("short", lags_min=(1.0, 5.0))
 CHANGES = np.outer(np.repeat([1.0, 0.2, -1.2], 5), [0.6, 1.0])
 """Weights of a model that follows how far its temperatures are ahead of their lags [um/K]."""
 BEFORE = 200
@@ -93,7 +94,30 @@ def test_a_sensor_that_lies_for_minutes_and_is_right_again_leaves_nothing_behind
     off_um, states = run(tmp_path, other_level(0, 5, 50), PLACE, 90)
     assert states[40] is OutputState.HOLD
     assert states[-1] is OutputState.ACTIVE
-    assert np.abs(off_um[-12:]).max() <= WITHIN_UM
+    followed = np.array([state is OutputState.ACTIVE for state in states])
+    assert followed[60:].all() and np.abs(off_um[60:]).max() <= WITHIN_UM, "from the first move on"
+
+
+class Released(TwinLoop):
+    """Another model is released two minutes after a lie has ended; its lags are made from the history."""
+
+    async def _program(self) -> None:
+        await super()._program()
+        if self.moment == self.before + 60:
+            await self.loop.use_model(replace(SHORT, model_id="released"))
+
+
+def test_nor_does_it_for_a_model_that_is_released_then(tmp_path: Path) -> None:
+    twin, loop = (
+        Released(tmp_path / name, SHORT, PLACE, "checked", disturbance=bad, before=BEFORE)
+        for name, bad in (("twin", None), ("loop", other_level(0, 8, 50)))
+    )
+    for each in (twin, loop):
+        asyncio.run(each.run(90))
+        assert each.loop.thermal._online is not None
+        assert each.loop.thermal._online.model.model_id == "released"
+    assert loop.states[-1] is OutputState.ACTIVE
+    assert np.abs(np.array(loop.applied_um[62:]) - np.array(twin.applied_um[62:])).max() <= 0.5
 
 
 def test_nor_does_it_over_a_restart(tmp_path: Path) -> None:
