@@ -9,21 +9,28 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import pairwise
+from statistics import median
 from typing import Any
 
 import yaml
 
+from config.recordings.column_units import TIMES, unit_of
 from config.recordings.recording_map import RecordingMap, are_days, fits
 
 _DATE = re.compile(r"\b(date|datum|tag|day)\b|日付|年月日")
-_TIME = re.compile(r"\b(time|zeit|uhrzeit|timestamp|zeitstempel|datetime|utc|clock|t|temps|elapsed)\b|日時|時刻|時間")
+_TIME = re.compile(
+    r"\b(time|\w*zeit|timestamp|zeitstempel|datetime|utc|clock|t|temps|tiempo|elapsed|minut(e|en|es|os)|sec(ond)?s?|sek(unden?)?)\b"
+    r"|日時|時刻|時間"
+)
+_NUMBERED_T = re.compile(r"t[ _]?\d")
+"""A temperature: where no column is the time, none of these is."""
 _SPEED = re.compile(r"rpm|1/min|min-1|min\^-1|u/min|r/min|drehzahl|spindle.?speed|speed|回転")
 _DEGC = re.compile(r"°\s*c\b|deg\s*_?c\b|℃|\[c\]|\(c\)|celsius|grad c")
 _UM = re.compile(r"[µμ]m|\bum\b|_um$|micron|micromet")
 _MM = re.compile(r"\bmm\b|_mm$")
 _WITH_MM = re.compile(r"[\s_]*[\[(]?\s*\bmm\b\s*[\])]?|_mm$")
 """What the name of a channel loses: the map turns it into micrometres."""
-_MOVES = re.compile(r"変位|displace|verlagerung|deviation|thermal.?error|\bweg\b|probe|^d[xyz]|^e[xyz]")
+_MOVES = re.compile(r"変位|displace|verlagerung|deviation|thermal.?error|\bweg\b|probe|^d[xyz]|^e[xyz]|^c\d+\b")
 """Beside millimetres a displacement says so; an axis position is in millimetres, too."""
 _OTHER_UNIT = re.compile(
     r"\bmm\b|\bnm\b|\bkw\b|\bw\b|\ba\b|\bv\b|%|\bbar\b|\bhz\b|°\s*f\b|\bdegf\b|\bnm\b|\bl/min\b|\bkelvin\b"
@@ -81,7 +88,8 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
     columns = {name: [row[i] for row in complete] for i, name in enumerate(header) if name}
     described = _described(header, rows[0] if unit_row else ())
     numbers = [name for name, texts in columns.items() if _numbers(texts)]
-    keys |= _time_keys(columns, described, notes)
+    of_time = [name for name, text in zip(header, rows[0], strict=False) if unit_of(text) in TIMES] if unit_row else []
+    keys |= _time_keys(columns, described, of_time, notes)
     taken = {keys.get("time"), keys.get("date")}
     kinds = {name: _kind(described[name]) for name in numbers if name not in taken}
     speeds = [name for name, kind in kinds.items() if kind == "speed"]
@@ -136,9 +144,13 @@ def _kind(said: str) -> str | None:
     return "displacements" if _DISPLACEMENT.search(words) else None
 
 
-def _time_keys(columns: dict[str, list[str]], described: dict[str, str], notes: list[str]) -> dict[str, Any]:
+def _time_keys(
+    columns: dict[str, list[str]], described: dict[str, str], of_time: Sequence[str], notes: list[str]
+) -> dict[str, Any]:
+    """Return the keys that say what the time is; `of_time`: columns whose unit is one of time."""
     words = {name: re.sub(r"[_\W\d]+", " ", said).strip() for name, said in described.items() if name in columns}
-    times = [name for name, text in words.items() if _TIME.search(text)]
+    times = [name for name in words if name in of_time]
+    times += [name for name, text in words.items() if _TIME.search(text) and not _NUMBERED_T.match(described[name])]
     dates = [name for name, text in words.items() if _DATE.search(text) and name not in times]
     for name in (*times, *dates):
         if form := _time_form(columns[name]):
@@ -161,20 +173,26 @@ def _time_keys(columns: dict[str, list[str]], described: dict[str, str], notes: 
             if are_days(found):
                 notes.append(f"{name!r} is taken to be in days, as spreadsheets count dates")
                 return {"time": name, "time_unit": "d"}
-            return {"time": name, "time_unit": _unit(described[name], name, notes)}
+            step = median(second - first for first, second in pairwise(found)) if len(found) > 1 else 0.0
+            return {"time": name, "time_unit": _unit(described[name], name, step, notes)}
     for name in (*times, *dates):
         if _time_form([*dict.fromkeys(columns[name])]) is not None:
             notes.append(f"{name!r} says the same time in rows one after the other: export it with seconds")
     return {}
 
 
-def _unit(said: str, name: str, notes: list[str]) -> str:
-    if re.search(r"\bmin(ute)?s?\b|_min\b", said):
+def _unit(said: str, name: str, step: float, notes: list[str]) -> str:
+    if re.search(r"\bmin(ut(e|en|es|os))?s?\b|_min\b|[\[(]分", said):
         return "min"
-    if re.search(r"\bh(ours?|rs?)?\b|_h\b|stunden", said):
+    if re.search(r"\bh(ours?|rs?)?\b|_h\b|stunden|\bstd\b", said):
         return "h"
-    if not re.search(r"\bs(ec|econds?)?\b|_s\b|sekunden", said):
-        notes.append(f"{name!r} is taken to be in seconds; its name does not say so")
+    if re.search(r"\bd(ays?)?\b|_d\b|\btage?\b", said):
+        return "d"
+    if not re.search(r"\bs(e[ck]|econds?)?\b|_s\b|sekunden?", said):
+        notes.append(
+            f"{name!r} is taken to be in seconds, a row every {step:g} s; its name does not say so: where that is "
+            "wrong, say time_unit: min, h or d"
+        )
     return "s"
 
 

@@ -12,6 +12,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 from pydantic import Field, model_validator
 
 from config.loader import load_yaml_model
+from config.recordings.column_units import contradiction
 from config.schema.base import KeyProblems, Seconds, Section
 from models.recordings.slopes import SLOPE_SUFFIX
 
@@ -162,7 +163,7 @@ def resolve_columns(recording_map: RecordingMap, header: Sequence[str]) -> Colum
             )
     _require_units(header, {"temperatures": temperatures, "displacements": displacements})
     channels = _channels(recording_map.displacement_names or {}, header, displacements)
-    return Columns(
+    found = Columns(
         time=time,
         date=date,
         speed=speed,
@@ -173,6 +174,34 @@ def resolve_columns(recording_map: RecordingMap, header: Sequence[str]) -> Colum
         channels=channels,
         slopes=_slopes(recording_map.slopes or {}, header, channels, {*temperatures, *displacements}),
     )
+    require_read_units(recording_map, found, header)
+    return found
+
+
+def require_read_units(
+    recording_map: RecordingMap, columns: Columns, header: Sequence[str], row: Sequence[str] | None = None
+) -> None:
+    """Refuse a column that is in another unit than it is read in; raises `ColumnError`.
+
+    `row`: fields of the row of units; None: by the names of columns, where the map does not say the unit itself.
+    """
+    of_number = recording_map.time_format is None and recording_map.time_unit != "iso"
+    read: list[tuple[str, int, str]] = [("time", columns.time, recording_map.time_unit)] if of_number else []
+    read += [
+        ("displacements", column, "um" if scale == 1.0 else "mm")
+        for column, scale in zip(columns.displacements, columns.um_per_unit, strict=True)
+    ]
+    if row is None:
+        said = {i for pattern in recording_map.displacement_units or () for i in _matches(pattern, header)}
+        said |= {columns.time} if "time_unit" in recording_map.model_fields_set else set()
+        read = [one for one in read if one[1] not in said]
+    else:
+        read += [("temperatures", column, "degC") for column in columns.temperatures]
+        read += [("axis_positions", column, "mm") for column in columns.axis_positions]
+    for kind, column, meant in read:
+        text = None if row is None else row[column] if column < len(row) else ""
+        if sentence := contradiction(kind, header[column], meant, text):
+            raise ColumnError(kind, sentence)
 
 
 def _require_units(header: Sequence[str], columns: Mapping[str, Sequence[int]]) -> None:

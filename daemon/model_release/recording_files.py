@@ -7,6 +7,7 @@ from pathlib import Path
 import yaml
 
 from config.files import write_whole
+from config.recordings.column_units import unit_in
 from config.recordings.recording_map import ColumnError, resolve_columns, usual_map
 from config.schema import Configuration
 from daemon.history.reader import HistoryReader
@@ -90,4 +91,6 @@ def _map_keys(recording: Recording, slopes: Mapping[str, Mapping[str, object]]) 
     if slopes:
         positions["slopes"] = slopes
     names = {"temperatures": list(recording.temperature_names[: recording.sensors])}
+    if in_mm := [name for name in recording.displacement_names if unit_in(name) == "mm"]:
+        positions["displacement_units"] = dict.fromkeys(in_mm, "um")  # the history holds micrometres
     return {"time": TIME, **speed, **names, "displacements": list(recording.displacement_names), **positions}

@@ -23,6 +23,7 @@ from config.recordings.recording_map import (
     RecordingMap,
     are_days,
     fits,
+    require_read_units,
     resolve_columns,
     usual_map,
 )
@@ -125,7 +126,7 @@ def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Rec
         if hint := _encoding_hint(header):
             raise place.refuse(f"the names of the columns are garbled{hint}")
         if recording_map.unit_row:
-            next(lines, "")
+            _require_row_of_units(place, next(lines, ""), header, delimiter, recording_map)
         form = _Form(header=header, delimiter=delimiter, columns=columns, recording_map=recording_map)
         time_s, table = _rows(place, lines, form)
     first_temperature = 0 if columns.speed is None else 1
@@ -272,6 +273,17 @@ def _encoding_hint(header: list[str]) -> str:
         return ""
     named = ", ".join(name for name, read in zip(meant, header, strict=True) if name != read)
     return f"; the file seems to be UTF-8 ({named}): say encoding: utf-8 in the map"
+
+
+def _require_row_of_units(
+    place: _Place, line: str, header: list[str], delimiter: str, recording_map: RecordingMap
+) -> None:
+    """Refuse a row of units that contradicts the map."""
+    try:
+        texts = next(csv.reader([line], delimiter=delimiter), [])
+        require_read_units(recording_map, resolve_columns(recording_map, header), header, texts)
+    except (ColumnError, csv.Error) as error:
+        raise place.refuse(str(error)) from error
 
 
 def _is_number(text: str) -> bool:

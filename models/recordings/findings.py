@@ -37,6 +37,10 @@ FEWEST_LIKE = 3
 """So many other temperatures say what temperatures are like."""
 SHORTEST_S = 900.0
 """In less time nothing warms by much: a time that is not in seconds is more likely [s]."""
+AT_ONCE_S = 60.0
+"""No machine warms by half of all that it does in this time [s]: what takes so many seconds takes minutes."""
+FEWEST_AT_ONCE = 4
+"""So many rows tell what a temperature does in that time."""
 FASTEST_S = 0.5
 """Hardly any logger writes temperatures more often [s]: then, too."""
 CLOCK_CHANGE_S = 3600.0
@@ -314,12 +318,29 @@ def _shortness(recording: Recording) -> Iterator[Finding]:
     """Yield a time that is hardly in seconds: too little of it for the warming, or rows that follow too fast."""
     span_s = float(np.ptp(recording.time_s)) if recording.rows > 1 else SHORTEST_S
     warmed_k = max(_spans(recording.temperature_names, recording.temperatures_degc).values(), default=0.0)
+    advice = "where the time counts minutes, hours or days, say so in the map: time_unit: min, h or d"
     if (span_s < SHORTEST_S and warmed_k > WARMING_K) or recording.sample_s < FASTEST_S:
-        sentence = (
-            f"{counted(recording.rows, 'row')} in {span_s:.3g} s, in which temperatures change by {warmed_k:.3g} K: "
-            "where the time counts minutes, hours or days, say so in the map: time_unit: min, h or d"
-        )
+        rows = counted(recording.rows, "row")
+        sentence = f"{rows} in {span_s:.3g} s, in which temperatures change by {warmed_k:.3g} K: {advice}"
         yield _warning("time", None, sentence)
+    elif _warms_at_once(recording):
+        sentence = f"most temperatures change by half of all that they do within {AT_ONCE_S:g} s: {advice}"
+        yield _warning("time", None, sentence)
+
+
+def _warms_at_once(recording: Recording) -> bool:
+    """Return whether most of the temperatures that move much do half of it in less time than a machine needs."""
+    rows = int(AT_ONCE_S / recording.sample_s) if recording.rows > 1 else 0
+    if not FEWEST_AT_ONCE <= rows < recording.rows:
+        return False
+    soon = recording.time_s[rows:] - recording.time_s[:-rows] <= AT_ONCE_S
+    at_once = []
+    for column in recording.temperatures_degc[:, : recording.sensors].T:
+        known = column[np.isfinite(column)]
+        if len(known) and np.ptp(known) > 2.0 * WARMING_K:
+            changes_k = np.nan_to_num(np.abs(column[rows:] - column[:-rows])[soon])
+            at_once.append(float(changes_k.max(initial=0.0)) >= 0.5 * float(np.ptp(known)))
+    return 2 * sum(at_once) > len(at_once)
 
 
 def _spans(names: tuple[str, ...], table: FloatArray) -> dict[str, float]:

@@ -57,6 +57,48 @@ def test_a_row_of_units_says_what_the_columns_are() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("t_min", "min"),
+        ("Zeit/min", "min"),
+        ("Minuten", "min"),
+        ("elapsed minutes", "min"),
+        ("時間[分]", "min"),
+        ("Laufzeit [h]", "h"),
+        ("Messzeit (Std)", "h"),
+        ("time [d]", "d"),
+        ("Sekunden", "s"),
+    ],
+)
+def test_the_unit_of_the_time_is_what_its_name_says(name: str, unit: str) -> None:
+    found = propose_map([name, "T1 (degC)", "X [um]"], rows("0", "1", "2", fields=3))
+    assert (found.keys["time"], found.keys["time_unit"], found.notes) == (name, unit, ())
+
+
+def test_a_time_whose_name_tells_no_unit_says_what_is_assumed_and_one_of_any_name_is_told_by_its_unit() -> None:
+    found = propose_map(["time", "T1 (degC)", "X [um]"], rows("0", "1", "2", fields=3))
+    assert found.notes == (
+        "'time' is taken to be in seconds, a row every 1 s; its name does not say so: where that is wrong, say "
+        "time_unit: min, h or d",
+    )
+    counted = propose_map(["Messung", "T1", "c1"], [["min", "°C", "mm"], ["0", "20", "0.1"], ["1", "21", "0.2"]])
+    assert counted.keys == {
+        "time": "Messung",
+        "time_unit": "min",
+        "temperatures": ["T1"],
+        "displacements": ["c1"],
+        "displacement_units": {"c1": "mm"},
+        "unit_row": True,
+    }
+
+
+def test_a_numbered_temperature_that_rises_is_not_taken_for_the_time() -> None:
+    found = propose_map(["no", "T1", "T2", "X [um]"], rows("1", "2", "3", fields=4))
+    rising = propose_map(["T1", "T2", "X [um]"], rows("20", "21", "22", fields=3))
+    assert found.lacking == rising.lacking == ("time",) and rising.keys["temperatures"] == ["T1", "T2"]
+
+
 def test_a_displacement_in_millimetres_says_so_and_an_axis_position_is_none() -> None:
     header = ["time_s", "T1", "Verlagerung Z [mm]", "dx_mm", "X [mm]", "Y [um]"]
     found = propose_map(header, rows("0", "1", fields=6))

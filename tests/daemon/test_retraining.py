@@ -1,6 +1,7 @@
 """Proposals trained on the daemon's own history: measured minus applied, in a process of their own."""
 
 import json
+import shlex
 import subprocess
 import time
 from pathlib import Path
@@ -50,12 +51,16 @@ def signals() -> dict[str, np.ndarray]:
     return {"rpm": rpm, "degc": degc, "error_um": error_um, "applied_um": applied_um}
 
 
-def configured(installation: Installation, **retraining: object) -> Configuration:
+def configured(
+    installation: Installation, channels: tuple[str, str] = ("Y1", "Z1"), **retraining: object
+) -> Configuration:
     content = yaml.safe_load(installation.config_path.read_text("utf-8"))
     content["displacements"] = {
         "file": {"path": "/srv/logger/*.csv", "header": "time"},
-        "channels": [{"name": "Y1", "column": "Y1"}, {"name": "Z1", "column": "Z1"}],
+        "channels": [{"name": name, "column": name} for name in channels],
     }
+    for axis, name in zip("yz", channels, strict=True):
+        content["compensation"]["axes"][axis]["estimate"] = name
     content["compensation"]["retraining"] = {"model": "ridge", **retraining}
     installation.config_path.write_text(yaml.safe_dump(content), encoding="utf-8")
     return load_configuration(installation.config_path)
@@ -238,6 +243,22 @@ def test_an_exported_recording_is_what_train_reads(
     np.testing.assert_allclose(read.speed_rpm, held.speed_rpm, atol=0.1)
     command = ["thermal", "train", str(run), "--model", "ridge", "-o", str(tmp_path / "model.json")]
     assert CliRunner().invoke(main, command).exit_code == 0
+
+
+def test_channels_of_any_name_are_exported_with_the_map_that_trains_on_them(tmp_path: Path) -> None:
+    names = ("Öl, Weg (Y) [µm]", "Taster #1 [mm]")
+    installation = Installation(tmp_path / "here")
+    begin_s = (time.time() - 60.0 * (MINUTES + 30)) // 60.0 * 60.0
+    fill(configured(installation, names), begin_s)
+    run, model = tmp_path / "run 1.csv", tmp_path / "model.json"
+    exported = ["export", "-c", str(installation.config_path), "--what", "recording", "--from", "-48h", "-o", str(run)]
+    told = CliRunner().invoke(main, exported)
+    assert told.exit_code == 0, told.output
+    command = shlex.split(next(line for line in told.stderr.splitlines() if "thermal train" in line).partition(": ")[2])
+    trained = CliRunner().invoke(main, [*command[1:-4], "--model", "ridge", "-o", str(model)])
+    assert trained.exit_code == 0, trained.output
+    found = model_from_json(model.read_text("utf-8"), "model.json")
+    assert found.channels == names and max(found.band_um) < 8.0
 
 
 @pytest.mark.parametrize(

@@ -297,6 +297,57 @@ def test_units_below_the_header_and_other_encodings_are_read_as_the_map_says(tmp
     assert "name its encoding in the map" in refusal(tmp_path, content, RecordingMap.model_validate(keys))
 
 
+ROW_OF_UNITS = "Zeit;Öl;Weg\nmin;°C;mm\n0;20,5;0,001\n1;20,6;0,002\n"
+
+
+@pytest.mark.parametrize(
+    ("units", "said", "sentence"),
+    [
+        ("min;°C;mm", {}, "column 'Zeit' is in min, by the row of units, and is read in s: say time_unit: min in the"),
+        ("[s];[°C];[mm]", {}, "column 'Weg' is in mm, by the row of units, and is read in um: say displacement_units:"),
+        ("sec;°C;µm", {"displacement_units": {"Weg": "mm"}}, "say displacement_units: {'Weg': um} in the map"),
+        ("h;°C;um", {"time_unit": "min"}, "say time_unit: h in the map"),
+        ("ms;°C;um", {}, "column 'Zeit' is in ms, by the row of units, and is read in s: convert it to s, or take"),
+        ("s;°F;um", {}, "temperatures: column 'Öl' is in degF, by the row of units, and is read in degC: convert it"),
+        ("s;°C;inch", {}, "column 'Weg' is in in, by the row of units, and is read in um: convert it to um"),
+        ("s;um;°C", {}, "column 'Weg' is in degC"),
+    ],
+)
+def test_a_row_of_units_that_contradicts_the_map_is_refused(
+    tmp_path: Path, units: str, said: dict[str, object], sentence: str
+) -> None:
+    keys = {"time": "Zeit", "temperatures": ["Öl"], "displacements": ["Weg"], "unit_row": True} | said
+    found = refusal(tmp_path, ROW_OF_UNITS.replace("min;°C;mm", units), RecordingMap.model_validate(keys))
+    assert found.startswith("day.csv:2: ") and sentence in found
+
+
+@pytest.mark.parametrize(
+    "units", ["min;°C;mm", "[min];degC;[mm]", "Minuten;(°C);Millimeter", "-;;", "min;K", "", "min"]
+)
+def test_a_row_of_units_that_fits_or_says_nothing_is_read_over(tmp_path: Path, units: str) -> None:
+    keys = {"time": "Zeit", "time_unit": "min", "temperatures": ["Öl"], "displacements": ["Weg"], "unit_row": True}
+    given = RecordingMap.model_validate(keys | {"displacement_units": {"*": "mm"}})
+    found = read_recording(written(tmp_path, ROW_OF_UNITS.replace("min;°C;mm", units)), given)
+    np.testing.assert_allclose(found.time_s, [0.0, 60.0])
+    np.testing.assert_allclose(found.displacements_um[:, 0], [1.0, 2.0])
+
+
+def test_a_unit_in_a_name_counts_where_the_map_does_not_say_the_unit(tmp_path: Path) -> None:
+    content = "Zeit [min],T_in,dz (mm)\n0,20,0.001\n1,21,0.002\n"
+    keys = {"time": "Zeit [min]", "temperatures": ["T_in"], "displacements": ["dz (mm)"]}
+    of_time = refusal(tmp_path, content, RecordingMap.model_validate(keys))
+    assert (
+        "'Zeit [min]' is in min, by its name, and is read in s: say time_unit: min in the map, or time_unit: s"
+        in of_time
+    )
+    keys |= {"time_unit": "s"}
+    assert "'dz (mm)' is in mm, by its name" in refusal(tmp_path, content, RecordingMap.model_validate(keys))
+    said = RecordingMap.model_validate(keys | {"displacement_units": {"dz*": "um"}})
+    assert read_recording(written(tmp_path, content), said).displacements_um[1, 0] == 0.002
+    usual = refusal(tmp_path, "t,t1,c1_mm\n0,20,0.001\n", None)
+    assert "column 'c1_mm' is in mm, by its name, and is read in um" in usual
+
+
 def test_empty_fields_beyond_the_header_change_nothing_and_others_are_refused(tmp_path: Path) -> None:
     rows = [f"{line},," if n else line for n, line in enumerate(GOOD.splitlines())]
     np.testing.assert_array_equal(read_recording(written(tmp_path, "\n".join(rows)), MAP).time_s, [0.0, 15.0])

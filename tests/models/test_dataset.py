@@ -100,6 +100,22 @@ def test_a_time_that_is_not_in_seconds_is_told_by_how_short_the_recording_is() -
     assert "4000 rows in 1e+03 s" in sentences(minutes) and "time_unit: min, h or d" in sentences(minutes)
 
 
+@pytest.mark.parametrize("clock", [1.0, 60.0])
+def test_minutes_that_are_counted_as_seconds_are_told_by_how_soon_most_temperatures_move(clock: float) -> None:
+    long = recording(1200, sensors=5)
+    warm_k = np.tile(np.repeat([12.0, 0.0], 120), 5)
+    followed = np.zeros((1200, 3))
+    for row in range(1, 1200):
+        followed[row] = followed[row - 1] + (warm_k[row] - followed[row - 1]) / np.array([10.0, 30.0, 90.0])
+    degc = np.round((20.0 + followed @ np.array([[1, 0.5, 0, 0, 0], [0, 0.5, 1, 0.3, 0], [0, 0, 0, 0.7, 1]])) * 2) / 2
+    counted = replace(long, temperatures_degc=degc, time_s=long.time_s * clock / 60.0)
+    told = "most temperatures change by half of all that they do within 60 s" in sentences(counted)
+    assert told == (clock == 1.0), "half a kelvin in one step is no haste"
+    coolant = np.where(np.arange(1200)[:, None] // 100 % 2 == 0, [8.0, 6.0, 0.0, 0.0, 0.0], 0.0)
+    nozzle = replace(long, temperatures_degc=degc + coolant, time_s=long.time_s / 4.0)
+    assert "time_unit" not in sentences(nozzle), "two sensors in the jet are not the machine"
+
+
 def test_an_empty_column_is_refused() -> None:
     with pytest.raises(DatasetError, match=r"day\.csv: column c2: no value at all"):
         require_usable(spoilt("displacements_um", 1, slice(None), np.nan))

@@ -1,6 +1,7 @@
 """`toolpoint history` and `toolpoint export`: look into the store, also while the daemon writes it."""
 
 import math
+import shlex
 import sys
 import time
 from collections.abc import Iterator
@@ -221,9 +222,10 @@ def _write_recordings(
     except OSError as error:
         refuse(f"{output}: cannot be written ({error.strerror})")
     recordings = [str(path) for path in paths if path.suffix == ".csv"]
-    with_map = "".join(f" --map {path}" for path in paths if path.suffix == ".yaml")
+    with_map = [text for path in paths if path.suffix == ".yaml" for text in ("--map", str(path))]
     say(f"{len(recordings)} recording(s): {', '.join(recordings)}")
-    say(f"train on them with: toolpoint thermal train {' '.join(recordings)}{with_map} --model default -o model.json")
+    command = shlex.join(["toolpoint", "thermal", "train", *recordings, *with_map])
+    say(f"train on them with: {command} --model default -o model.json")
 
 
 def _write(table: Table, output: Path, format_: str) -> int:

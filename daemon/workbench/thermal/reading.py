@@ -161,6 +161,9 @@ def proposal(path: Path) -> tuple[MapProposal, bool]:
         usual = usual_map(header)
     except ColumnError:
         return propose_map(header, rows, encoding), False
+    found = propose_map(header, rows, encoding)
+    if found.keys.get("unit_row"):
+        return found, False
     columns = {kind: names for kind, names in matching_names(usual, header).items() if kind in KINDS and names}
     keys = usual.model_dump(exclude_unset=True, exclude_none=True) | columns
     return MapProposal(keys=keys, left_out=(), lacking=(), notes=()), True

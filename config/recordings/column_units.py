@@ -1,0 +1,59 @@
+"""The unit that a recording's column claims, by its name or by the row of units; whether it can be right."""
+
+import re
+
+_SPELLINGS = {
+    "ms": r"ms|msecs?|milliseconds?|millisekunden",
+    "s": r"s|secs?|seconds?|sek|sekunden?",
+    "min": r"mins?|minutes?|minuten?",
+    "h": r"h|hrs?|hours?|stunden?|std",
+    "d": r"d|days?|tage?",
+    "um": r"[µμ]m|um|microns?|micromet(?:er|re)s?",
+    "mm": r"mm|millimet(?:er|re)s?",
+    "nm": r"nm",
+    "in": r"in|inch|inches",
+    "degC": r"°\s*c|℃|deg\s*_?c|c|celsius|grad c",
+    "degF": r"°\s*f|℉|deg\s*_?f|f|fahrenheit",
+}
+_UNITS = {unit: re.compile(spelling) for unit, spelling in _SPELLINGS.items()}
+_AT_THE_END = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$|(?:^|[\s_/,])([^\s_/,]+)\s*$")
+_OF_A_MAP = {"time": ("s", "min", "h", "d"), "displacements": ("um", "mm")}
+"""Units that a map can say, which a name tells beyond doubt: `Z_in` may be inside, `T_F` in front."""
+TIMES = ("ms", *_OF_A_MAP["time"])
+_OF_A_ROW = {
+    "time": TIMES,
+    "displacements": ("um", "mm", "nm", "in", "degC", "degF"),
+    "temperatures": ("um", "mm", "degF"),
+    "axis_positions": ("um", "in"),
+}
+_KEYS = {"time": "time_unit: {unit}", "displacements": "displacement_units: {{{name!r}: {unit}}}"}
+
+
+def unit_of(text: str) -> str | None:
+    """Return the unit that a text is, with or without brackets around it; None where it is none of these."""
+    bare = text.strip().strip("[](){}").strip().lower()
+    return next((unit for unit, spelling in _UNITS.items() if spelling.fullmatch(bare)), None)
+
+
+def unit_in(name: str) -> str | None:
+    """Return the unit that the name of a column ends with, such as `Zeit [min]`, `t_min` or `dz (mm)`."""
+    found = _AT_THE_END.search(name)
+    return None if found is None else unit_of(found[1] or found[2])
+
+
+def contradiction(kind: str, name: str, meant: str, row: str | None = None) -> str | None:
+    """Return what to say where a column claims another unit than it is read in, else None.
+
+    `kind`: time, displacements, temperatures or axis_positions. `meant`: the unit that it is read in. `row`: its field
+    in the row of units; None: it goes by its name.
+    """
+    found = unit_in(name) if row is None else unit_of(row)
+    if found is None or found == meant or found not in (_OF_A_MAP if row is None else _OF_A_ROW).get(kind, ()):
+        return None
+    by = "by its name" if row is None else "by the row of units"
+    advice = f"convert it to {meant}, or take it out of the map"
+    if found in _OF_A_MAP.get(kind, ()):
+        advice = f"say {_KEYS[kind].format(name=name, unit=found)} in the map"
+        if row is None:
+            advice += f", or {_KEYS[kind].format(name=name, unit=meant)} where the name is wrong"
+    return f"column {name!r} is in {found}, {by}, and is read in {meant}: {advice}"
