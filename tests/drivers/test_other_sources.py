@@ -33,7 +33,7 @@ from drivers.kernel import KernelSource
 from drivers.mqtt import LARGEST_BYTES, MqttSource, numbers_in
 from drivers.opcua.tags import reading_of
 from drivers.process import ProcessSource
-from drivers.readings import NoReading, judged
+from drivers.readings import NoReading, Row, judged
 from models.quality import Quality, Reason
 from models.records import Instant, TemperatureCycle
 
@@ -420,6 +420,52 @@ def test_what_a_device_kept_while_it_was_cut_off_and_sends_at_once_is_one_cycle_
         assert [row.values.tolist() for row in opened._due()] == ([[25.1]] if number == 25.1 else [])
 
 
+class Topic:
+    """One topic of a source, to which messages are passed on ten seconds apart."""
+
+    def __init__(self) -> None:
+        self._clock = StillClock()
+        section = {"host": "127.0.0.1", "timeout_s": 5.0}
+        self._source = MqttSource(source("mqtt", section, {**SENSOR, "topic": "m/7"}), self._clock)
+
+    def __call__(self, degc: float) -> Row:
+        """Return the cycle of this message."""
+        message = aiomqtt.Message("m/7", f"{degc:.3f}".encode(), qos=0, retain=False, mid=0, properties=None)
+        self._source._take(message)
+        self._clock.at_s += PERIOD_S
+        (row,) = self._source._due()
+        return row
+
+
+def test_two_devices_that_publish_under_one_topic_are_no_sensor_until_one_of_them_ends() -> None:
+    """A device that was forgotten says 20 degC while the place warms by 8 K: it alone counted, and nobody was told."""
+    topic = Topic()
+    warming = [20.0 + 8.0 * (1.0 - math.exp(-i / 40.0)) for i in range(120)]
+    rows = [topic(degc) for each in warming for degc in (each, 20.0)]
+    wrong = [row for row in rows if abs(row.values[0] - 20.0) < 1.0][-1]
+    assert rows.index(wrong) < 40 and warming[rows.index(wrong) // 2] < 22.6
+    assert [row.reason[0] for row in rows[40:]] == [Reason.DUPLICATE_ID] * 200
+    assert "goes back and forth between 20.0 and 27.6 degC" in rows[-1].faults[0]
+    after = [topic(warming[-1]) for _ in range(12)]
+    assert after[-1].values.tolist() == [round(warming[-1], 3)] and not after[-1].faults
+
+
+@pytest.mark.parametrize(
+    "healthy",
+    [
+        [20.0 + i for i in range(40)],
+        [20.0 + i % 2 for i in range(40)],
+        [20.0 + 0.5 * (-1) ** i for i in range(40)],
+        [33.0 if i == 20 else 20.0 for i in range(40)],
+        [20.0 if i < 20 else 26.0 for i in range(40)],
+    ],
+    ids=["warms by 6 K/min", "whole degrees", "noise", "one wrong number", "another level"],
+)
+def test_one_device_counts_whatever_its_place_does(healthy: list[float]) -> None:
+    topic = Topic()
+    assert [topic(degc).values[0] for degc in healthy] == healthy
+
+
 @pytest.fixture
 def broker(tmp_path: Path) -> Iterator[int]:
     maker = shutil.which("mosquitto_passwd", path=f"{os.environ.get('PATH', '')}:/usr/bin")
@@ -456,6 +502,25 @@ async def test_a_retained_message_is_of_nobody_knows_when_and_a_wrong_password_i
         assert not waiting.done()
         await device.publish("m/7", "21.5", retain=True, qos=1)
         assert list((await waiting).degc) == [21.5]
+        await opened.close()
+
+
+@pytest.mark.wires
+async def test_a_second_device_at_the_broker_is_told(broker: int, tmp_path: Path) -> None:
+    async with aiomqtt.Client("127.0.0.1", broker, username="toolpoint", password="right") as device:
+        opened = subscribed(broker, tmp_path, "right")
+        cycles = opened.cycles()
+        waiting = asyncio.ensure_future(following(cycles))
+        cycle = None
+        async with asyncio.timeout(PATIENCE_S):
+            while cycle is None or not cycle.faults:
+                for text in ("21.5", "31.5"):
+                    await device.publish("m/7", text, qos=1)
+                    await asyncio.sleep(0.02)
+                if waiting.done():
+                    cycle, waiting = waiting.result(), asyncio.ensure_future(following(cycles))
+        assert list(cycle.reason) == [Reason.DUPLICATE_ID] and "between 21.5 and 31.5 degC" in cycle.faults[0]
+        waiting.cancel()
         await opened.close()
 
 
