@@ -108,9 +108,9 @@ class ToolInSpindle:
         if estimate.reference_id != self._counted_from:
             self._count_from(estimate.reference_id)
         at_s, increments = estimate.trace.first_byte.monotonic_s, estimate.label_increment_degc
-        if estimate.held_s == 0.0:
-            self._references.tool_set_right(self._seen, increments, at_s)
-        self._seen |= {label: (at_s - estimate.held_s, increment) for label, increment in increments.items()}
+        heard_s = at_s - estimate.held_s
+        self._references.tool_set_right(self._seen, increments, heard_s)
+        self._seen |= {label: (heard_s, increment) for label, increment in increments.items()}
         self._shown_s |= dict.fromkeys(increments, at_s)
 
     @property

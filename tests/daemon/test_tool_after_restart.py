@@ -54,6 +54,26 @@ async def test_a_tool_that_came_while_the_daemon_was_away_has_not_expanded_since
         assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(4.0, abs=0.11)
 
 
+@pytest.mark.parametrize("held_s", [0.0, 30.0, 55.0])
+async def test_a_tool_that_came_while_the_daemon_was_away_counts_right_though_a_sensor_missed_the_first_cycles(
+    tmp_path, held_s
+):
+    """The first estimate after the restart holds a value of before it; the sensor is heard 10 s later."""
+    bench = expanding_bench(tmp_path)
+    async with running(bench.rig()) as rig:
+        await warmed(rig)
+    bench.clock.monotonic_s += 40.0
+    bench.nc.tool_number = 7
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        for _ in range(2):
+            held = rig.estimate(0.0, -4.0, label_increment_degc={"A": 5.0}, held_s=held_s)
+            await rig.turn(held, after_s=5.0)
+        await let_pass(rig, 60.0, 5.0)
+        assert rig.state == "ACTIVE", rig.control.memory.reason
+        assert rig.applied["z"] == pytest.approx(4.0, abs=0.11), "of the nose alone: tool 7 came at its temperature"
+
+
 @pytest.mark.parametrize(("silent_s", "known"), [(0.0, True), (30.0, True), (120.0, False)])
 async def test_a_tool_that_comes_before_the_first_estimate_after_a_restart(tmp_path, silent_s, known):
     bench = expanding_bench(tmp_path)
