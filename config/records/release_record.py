@@ -30,6 +30,7 @@ class ReleaseRecord(Section):
     note: str = ""
     checks: list[str] = Field(description="what was checked and found good, in words")
     previous: PreviousRelease | None = None
+    trained_on: str = Field("", description="another machine of which a person said that its models serve this one")
 
 
 class ReleaseRecordError(Exception):

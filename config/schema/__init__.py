@@ -18,7 +18,11 @@ from config.schema.temperatures import TemperaturesConfig
 class Configuration(Section):
     """Configuration of the daemon for one machine tool."""
 
-    machine: str = Field(min_length=1, description="name of the machine, for people", examples=["my machining centre"])
+    machine: str = Field(
+        min_length=1,
+        description="name of the machine; a model that was trained on another needs a person's word",
+        examples=["my machining centre"],
+    )
     temperatures: TemperaturesConfig = Field(description="LATSIS lines and sensors")
     displacements: DisplacementsConfig | None = Field(
         None, description="displacement sensors; none: the machine has none"

@@ -2,6 +2,7 @@
 
 from config.schema import Configuration
 from models.thermal.family import ThermalModel
+from models.thermal.model import MACHINE
 
 
 def channels_in_use(configuration: Configuration) -> dict[str, float]:
@@ -19,6 +20,17 @@ def training_inhibit(model: ThermalModel) -> str:
     if model.refused is not None:
         return f"its training refused it: {model.refused}"
     return ""
+
+
+def machine_inhibit(model: ThermalModel, configuration: Configuration, said: str = "") -> str:
+    """Return that a model was trained on another machine than this or than a person has `said`, '' when it was not."""
+    trained_on = model.hyper_parameters.get(MACHINE, "")
+    if trained_on in ("", configuration.machine, said):
+        return ""
+    return (
+        f"it was trained on machine {trained_on!r}, and this one is {configuration.machine!r} (machine); where it "
+        f"serves this one too, release it with --trained-on {trained_on!r}"
+    )
 
 
 def slope_inhibit(model: ThermalModel, configuration: Configuration) -> str:

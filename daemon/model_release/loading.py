@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
@@ -11,7 +11,7 @@ from config.records.release_record import ReleaseRecord
 from config.schema import Configuration
 from config.signing import SigningError
 from daemon.model_release.file_access import Account, how_it_could_change
-from daemon.model_release.gate import slope_inhibit, training_inhibit
+from daemon.model_release.gate import machine_inhibit, slope_inhibit, training_inhibit
 from daemon.model_release.repository import release_signer, released
 from daemon.snapshots import ModelSnapshot
 from models.model_file import ModelError
@@ -87,7 +87,11 @@ def load_released(configuration: Configuration, account: Account) -> LoadedModel
             return None, f"{source}: {inhibit}", ""
         return model, inhibit, "" if model is None else training_inhibit(model)
 
-    return load_checked(WantedModel(kind="thermal model", option=""), path, configuration, account, read)
+    found = load_checked(WantedModel(kind="thermal model", option=""), path, configuration, account, read)
+    said = "" if found.record is None else found.record.trained_on
+    if found.model is not None and (inhibit := machine_inhibit(found.model, configuration, said)):
+        return replace(found, model=None, inhibit=f"{path}: {inhibit}")
+    return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,13 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import cast
 
 from config.files import sha256_of
 from config.records.release_record import PreviousRelease, ReleaseRecord
 from config.schema import Configuration
 from config.signing import SigningError, SigningKey, TrustedKeys
 from daemon.model_release.file_access import account_of_daemon, how_it_could_change
-from daemon.model_release.gate import channels_in_use
+from daemon.model_release.gate import channels_in_use, machine_inhibit
 from daemon.model_release.loading import Named, model_from_text
 from daemon.model_release.release_checks import gate_inhibit, policy_inhibit
 from daemon.model_release.repository import ReleaseError, ReleaseRepository, proposals_folder
@@ -87,19 +88,22 @@ def release(
     note: str = "",
     by_policy: bool = False,
     kind: Kind | None = None,
+    trained_on: str = "",
 ) -> ReleaseRecord:
     """Check a proposal and make it the active model of its kind (None: a thermal model).
 
+    `trained_on`: another machine, of which a person says that a model that was trained on it serves this one too.
     Raises ReleaseError with the reason when it is refused. The policy knows thermal models alone.
     """
     kind = kind or THERMAL
     repository, key = kind.repository(configuration), _key(configuration)
     content = _content(proposal)
     model, checks = kind.checked(configuration, content, str(proposal))
+    _refuse_another_machine(kind, model, configuration, str(proposal), trained_on)
     with repository.locked():
         active = repository.active()
         _refuse_the_daemons_reach(configuration, repository)
-        if active is not None and active.sha256 == sha256_of(content):
+        if active is not None and active.sha256 == sha256_of(content) and trained_on in ("", active.trained_on):
             raise ReleaseError(f"{proposal}: this model is active already, as release {active.number}")
         if twin := [r for r in repository.records() if r.model_id == model.model_id and r.sha256 != sha256_of(content)]:
             raise ReleaseError(
@@ -115,8 +119,17 @@ def release(
         record = _record(
             repository, "release", model, content, person=person, source=str(proposal), note=note, checks=checks
         )
+        record = record.model_copy(update={"trained_on": trained_on})
         repository.add(record, content, key)
     return record
+
+
+def _refuse_another_machine(
+    kind: Kind, model: Named, configuration: Configuration, source: str, trained_on: str
+) -> None:
+    """Refuse a thermal model of a machine that is neither this nor the one that a person has named."""
+    if kind is THERMAL and (inhibit := machine_inhibit(cast("ThermalModel", model), configuration, trained_on)):
+        raise ReleaseError(f"{source}: {inhibit}")
 
 
 def _key(configuration: Configuration) -> SigningKey | None:
@@ -164,9 +177,11 @@ def rollback(
         if active is not None and found.sha256 == active.sha256:
             raise ReleaseError(f"release {number} holds the model that is active now")
         model, checks = kind.checked(configuration, content, f"release {number}")
+        _refuse_another_machine(kind, model, configuration, f"release {number}", found.trained_on)
         record = _record(
             repository, "rollback", model, content, person=person, source=f"release {number}", note=note, checks=checks
         )
+        record = record.model_copy(update={"trained_on": found.trained_on})
         repository.add(record, content, key)
     return record
 
@@ -208,7 +223,7 @@ def proposals(configuration: Configuration) -> Sequence[Proposal]:
             continue  # gone, or not for us to read: nothing to propose
         model, inhibit = _read(configuration, content, str(path))
         if model is not None:
-            inhibit = gate_inhibit(model, configuration)
+            inhibit = gate_inhibit(model, configuration) or machine_inhibit(model, configuration)
         name = model.model_id if model is not None else "unreadable"
         proposal = Proposal(path=path, model_id=name, sha256=sha256_of(content), inhibit=inhibit, model=model)
         found.append((changed_s, proposal))

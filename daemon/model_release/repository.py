@@ -141,7 +141,8 @@ class ReleaseRepository:
 
     def add(self, record: ReleaseRecord, content: bytes, key: SigningKey | None = None) -> None:
         """Put a release into the folder, signed where there is a key, and make it the active one."""
-        text = record.model_dump_json(indent=2).encode() + b"\n"
+        unsaid = None if record.trained_on else {"trained_on"}  # versions before know nothing of it
+        text = record.model_dump_json(indent=2, exclude=unsaid).encode() + b"\n"
         folder = self.releases / f"{record.number:04d}"
         try:
             made = Path(tempfile.mkdtemp(prefix=".new-", dir=self.releases))

@@ -32,7 +32,11 @@ def propose_from_history(configuration: Configuration, retraining: RetrainingCon
             configuration, reader, um_per_unit, from_utc_s=now_s - DAY_S * retraining.days, to_utc_s=now_s
         )
     trained = train_family(
-        recordings, retraining.model, sample_s=60.0, created=datetime.now(UTC).isoformat(timespec="seconds")
+        recordings,
+        retraining.model,
+        sample_s=60.0,
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        machine=configuration.machine,
     )
     path = propose(configuration, trained.model)
     return {

@@ -36,10 +36,11 @@ def read_origin(path: Path, recording_map: RecordingMap | None = None) -> Origin
         with suppress(ValueError, OverflowError):
             begun_utc_s = time_reader(meaning)(" ".join(texts))
     known = begun_utc_s is not None and math.isfinite(begun_utc_s) and begun_utc_s > DAY_S  # less is a time of day
-    return Origin(machine=_machine(path, encoding), begun_utc_s=begun_utc_s if known else None)
+    return Origin(machine=machine_of(path, encoding), begun_utc_s=begun_utc_s if known else None)
 
 
-def _machine(path: Path, encoding: str) -> str:
+def machine_of(path: Path, encoding: str = "utf-8") -> str:
+    """Return the machine that a recording names, '' where it names none; raises OSError."""
     with path.open(encoding="utf-8-sig" if encoding == "utf-8" else encoding) as file:
         for line in file:
             key, _, value = line.removeprefix(METADATA_MARK).partition(":")

@@ -21,6 +21,8 @@ TEST_TOLERANCE_UM = 1e-6
 
 CHANNEL_SCORES = "held_out_relative_rmse_by_channel"
 """Hyper-parameter: RMSE with / without the model on what was left out, of each channel in the model's order."""
+MACHINE = "machine"
+"""Hyper-parameter: name of the machine whose recordings it was trained on, where they name one alone."""
 HyperParameters = dict[str, float | int | str | bool | list[float]]
 
 

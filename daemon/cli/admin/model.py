@@ -51,16 +51,30 @@ def model() -> None:
 @model.command("release")
 @click.argument("proposal", required=False, type=NOT_A_FOLDER)
 @option("--by-policy", is_flag=True, help="Release the newest proposal that the policy lets through.")
+@option(
+    "--trained-on",
+    default="",
+    metavar="NAME",
+    help="Another machine, on which it was trained: you answer for it that it serves this one too.",
+    show_default=False,
+)
 @bearings_option
 @note_option
 @config_option
 @json_option
 def release_command(
-    proposal: Path | None, by_policy: bool, bearings: bool, note: str, config_path: Path, json_path: str | None
+    proposal: Path | None,
+    by_policy: bool,
+    trained_on: str,
+    bearings: bool,
+    note: str,
+    config_path: Path,
+    json_path: str | None,
 ) -> None:
     """Check PROPOSAL (a model's file, or its name among the proposals) and make it the active model.
 
-    Checked are checksum, test vectors, sensors and channels, and the width of the prediction bands; of a bearing
+    Checked are checksum, test vectors, sensors and channels, the width of the prediction bands, and the machine that
+    it was trained on where its recordings name one; of a bearing
     model checksum, signals, and whether the spindles and cases of the configured operations fit it.
     """
     from daemon.model_release.releasing import person_now, proposal_named, release, release_by_policy
@@ -70,13 +84,16 @@ def release_command(
         raise click.UsageError("name one PROPOSAL, or let --by-policy choose one")
     if by_policy and bearings:
         raise click.UsageError("the policy knows thermal models alone; a person releases a bearing model")
+    if trained_on and (by_policy or bearings):
+        raise click.UsageError("--trained-on is a person's word on one thermal model: name its PROPOSAL")
     configuration = read_configuration(config_path)
     try:
         if proposal is None:
             record = release_by_policy(configuration, person=f"policy, run by {person_now()}")
         else:
             path = proposal_named(configuration, proposal)
-            record = release(configuration, path, person=person_now(), note=note, kind=_kind(bearings))
+            kind = _kind(bearings)
+            record = release(configuration, path, person=person_now(), note=note, kind=kind, trained_on=trained_on)
     except (ReleaseError, OSError) as error:
         refuse(str(error), REFUSED)
     if record is None:

@@ -8,7 +8,7 @@ from config.recordings.machine_map import sensors_of
 from config.recordings.recording_map import RecordingMap
 from daemon.telemetry.metrics import keep_one_heap
 from daemon.workbench.thermal.fleet import parts_of
-from daemon.workbench.thermal.training import Selection, selected_recordings
+from daemon.workbench.thermal.training import Selection, kept_paths, machine_named_by, selected_recordings
 from models.model_file import ModelError
 from models.recordings.dataset import DatasetError
 from models.thermal.training.fleet.machine_type import MachineType, machine_type_from_json
@@ -63,6 +63,7 @@ def train_with_prior(
         sample_s=60.0 if recording_map is None else recording_map.sample_s,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         progress=lambda done, total: progress("training", done, total),
+        machine=machine_named_by(kept_paths(paths, selection), recording_map),
     )
 
 

@@ -13,6 +13,7 @@ from config.recordings.recording_map import RecordingMap
 from config.schema.base import NAME_PATTERN
 from daemon.telemetry.metrics import keep_one_heap
 from daemon.workbench.thermal.reading import read_alike, require_different
+from drivers.files.recording_origin import machine_of
 from models.json_values import finite_or_none
 from models.recordings.dataset import DatasetError, Recording
 from models.thermal.family import ThermalModel
@@ -53,7 +54,14 @@ def train_from_files(
         sample_s=60.0 if recording_map is None else recording_map.sample_s,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         progress=lambda done, total: progress("training", done, total),
+        machine=machine_named_by(kept_paths(paths, selection), recording_map),
     )
+
+
+def machine_named_by(paths: Sequence[Path], recording_map: RecordingMap | None) -> str:
+    """Return the machine that every one of these recordings names, '' where they do not name one alone."""
+    named = {machine_of(path, "utf-8" if recording_map is None else recording_map.encoding) for path in paths}
+    return named.pop() if len(named) == 1 else ""
 
 
 def selected_recordings(

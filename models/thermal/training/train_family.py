@@ -12,7 +12,7 @@ from models.recordings.plausibility import are_rises
 from models.records import FloatArray
 from models.thermal.family import ThermalModel
 from models.thermal.features import BoolArray, IntArray
-from models.thermal.model import CHANNEL_SCORES, HyperParameters, TrainingData
+from models.thermal.model import CHANNEL_SCORES, MACHINE, HyperParameters, TrainingData
 from models.thermal.sensor_watch import SensorWatch
 from models.thermal.training.advice import advice, indistinct, worse_channels
 from models.thermal.training.choice import Choice, ChosenProblem
@@ -60,6 +60,7 @@ def train_family(
     sample_s: float,
     created: str,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    machine: str = "",
 ) -> FamilyTraining:
     """Fit a recipe on recordings.
 
@@ -78,6 +79,8 @@ def train_family(
         Date and time for the model, ISO 8601.
     progress
         Called with (done, total) steps.
+    machine
+        Name of the one machine that the recordings are of; '' where it is not known.
 
     """
     recordings, warnings = usable_recordings(recordings)
@@ -107,7 +110,7 @@ def train_family(
             rows=rows,
             fit=fit,
             trust=trust,
-            hyper_parameters=problem.hyper_parameters | _score(trust),
+            hyper_parameters=problem.hyper_parameters | _score(trust) | ({MACHINE: machine} if machine else {}),
             training=_training(used, inputs, rows),
             sensor_ids=_ids(recordings[0], kept),
             increments_k=increment_range_k([recording.downsampled(sample_s) for recording in used]),

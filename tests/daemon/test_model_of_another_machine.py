@@ -1,0 +1,91 @@
+"""A model of another machine of the same type has the same sensors: a person must say that it serves this one."""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from model_folder import configured, open_folder, proposal
+from other_user import OTHER
+from small_model import model
+
+from daemon.cli import main
+from daemon.model_release.file_access import Account
+from daemon.model_release.loading import load_released
+from daemon.model_release.releasing import proposals, release, release_by_policy, rollback
+from daemon.model_release.repository import ReleaseError
+from models.thermal.family import model_from_json
+from models.thermal.model import MACHINE
+
+STRANGER = Account(user_id=OTHER)
+OF_MILL_7 = {MACHINE: "mill 7"}
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    with open_folder() as made:
+        yield made
+
+
+def test_the_model_of_another_machine_needs_a_person_s_word(folder: Path) -> None:
+    configuration = configured(folder)
+    own = model("own", hyper_parameters={MACHINE: configuration.machine})
+    release(configuration, proposal(folder, own, "1.json"), person="anna")
+    waiting = proposal(folder, model("other", band_um=1.0, hyper_parameters=OF_MILL_7), "2.json")
+    words = f"it was trained on machine 'mill 7', and this one is {configuration.machine!r}"
+    assert words in next(each.inhibit for each in proposals(configuration) if each.path == waiting)
+    automatic = configured(folder, release=configuration.compensation.release.model_copy(update={"automatic": True}))
+    assert release_by_policy(automatic, person="policy") is None
+    for said in ("", "mill 8"):
+        with pytest.raises(ReleaseError, match=r"it was trained on machine 'mill 7', .* with --trained-on 'mill 7'"):
+            release(configuration, waiting, person="anna", trained_on=said)
+    assert release(configuration, waiting, person="anna", trained_on="mill 7").trained_on == "mill 7"
+    found = load_released(configuration, STRANGER)
+    assert found.model is not None and found.model.model_id == "other"
+    rollback(configuration, person="anna")
+    assert rollback(configuration, person="anna").trained_on == "mill 7"
+    assert load_released(configuration, STRANGER).model is not None
+
+
+def test_releases_that_were_copied_from_another_machine_are_refused(folder: Path) -> None:
+    there = configured(folder).model_copy(update={"machine": "mill 7"})
+    record = release(there, proposal(folder, model(hyper_parameters=OF_MILL_7)), person="anna")
+    assert record.trained_on == "" and "trained_on" not in (folder / "models/releases/0001/release.json").read_text()
+    assert load_released(there, STRANGER).model is not None
+    here = configured(folder)
+    found = load_released(here, STRANGER)
+    assert found.model is None and "trained on machine 'mill 7'" in found.inhibit
+    again = release(here, folder / "state/proposals/p.json", person="anna", trained_on="mill 7")
+    assert again.number == 2 and load_released(here, STRANGER).model is not None
+    with pytest.raises(ReleaseError, match="active already"):
+        release(here, folder / "state/proposals/p.json", person="anna", trained_on="mill 7")
+
+
+def test_a_model_that_names_no_machine_and_one_of_this_are_taken_as_they_were(folder: Path) -> None:
+    for place, named in enumerate(({}, {MACHINE: configured(folder).machine}), start=1):
+        waiting = proposal(folder, model(f"m{place}", hyper_parameters=named))
+        assert [each.inhibit for each in proposals(configured(folder))] == [""]
+        assert release(configured(folder), waiting, person="anna").number == place
+        assert load_released(configured(folder), STRANGER).model is not None
+
+
+@pytest.mark.parametrize(
+    ("names", "machine"), [(("mill 7", "mill 7"), "mill 7"), (("mill 7", "mill 8"), None), (("", ""), None)]
+)
+def test_a_model_names_the_machine_of_its_recordings_where_they_name_one(
+    tmp_path: Path, names: tuple[str, ...], machine: str | None
+) -> None:
+    paths = []
+    for run, name in enumerate(names):
+        minutes = np.arange(240.0)
+        degc = 20.0 + (6.0 + run) * (1.0 - np.exp(-minutes / 40.0))
+        rows = "".join(f"{60 * i:.0f},{t:.3f},{2 * (t - 20) + math.sin(i):.3f}\n" for i, t in enumerate(degc.tolist()))
+        paths.append(tmp_path / f"{run}.csv")
+        paths[-1].write_text((f"# machine: {name}\n" if name else "") + "t,t1,c1\n" + rows, encoding="utf-8")
+    out = tmp_path / "model.json"
+    done = CliRunner().invoke(main, ["thermal", "train", *map(str, paths), "--model", "ridge", "-o", str(out)])
+    assert done.exit_code == 0, done.output
+    made = model_from_json(out.read_bytes(), "model.json")
+    assert made.hyper_parameters.get(MACHINE) == machine
