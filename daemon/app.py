@@ -31,6 +31,7 @@ from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.housekeeping.jobs import job_snapshots, scheduled_jobs
 from daemon.links import DisplacementLog, Links, Serve
+from daemon.messages import TemperaturesTrusted
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import LoadedModel, load_released
 from daemon.model_release.reload import ModelReload
@@ -348,6 +349,8 @@ class Daemon:
 
     def _switch_spindle_speed(self, on: bool, person: str) -> str:
         refusal = self.spindle_speed.turn(on=on, person=person)
+        if on and not refusal:
+            self._inbox.put_nowait(TemperaturesTrusted())
         self._publish_output()
         return refusal
 

@@ -60,6 +60,11 @@ class SpindleSpeed:
     """Why the control gives no axis position, '' where it does."""
 
 
+@dataclass(frozen=True, slots=True)
+class TemperaturesTrusted:
+    """A person says that all temperatures are right as they are."""
+
+
 __all__ = [
     "EstimateComing",
     "OutputActions",
@@ -70,4 +75,5 @@ __all__ = [
     "ReferenceTakenUp",
     "SensorsSinceReference",
     "SpindleSpeed",
+    "TemperaturesTrusted",
 ]

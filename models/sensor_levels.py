@@ -32,6 +32,8 @@ MOMENT_S = 10.0
 CHANGES_KEPT = 200
 """So many changes of shifts are kept."""
 GAPS_KEPT = 20
+UNKNOWN_K = 1e3
+"""Stands for an error that nobody knows: more than any sensor is wrong by [K]."""
 
 Changes = tuple[tuple[float, int, float], ...]
 """Time [s], index of a sensor, and its shift before that [K]."""
@@ -60,6 +62,8 @@ class SensorLevels:
     """Taken off what it reads [K]."""
     uncertainty_k: FloatArray
     """By how much its level since the reference may be wrong, with sign [K]."""
+    lasting_k: FloatArray
+    """By how much its temperature may have been wrong at the reference, with sign [K]."""
     degc: FloatArray
     """Latest temperatures that counted, shifts taken off [degC]; NaN where there is none or it is too old."""
     left: Mapping[int, Left] = field(default_factory=lambda: MappingProxyType({}))
@@ -96,9 +100,8 @@ class BelievedValues:
 
 def first_levels(sensor_count: int) -> SensorLevels:
     """Return the levels before any value: nothing is shifted and nothing doubted."""
-    return SensorLevels(
-        shift_k=np.zeros(sensor_count), uncertainty_k=np.zeros(sensor_count), degc=np.full(sensor_count, np.nan)
-    )
+    nothing = np.zeros(sensor_count)
+    return SensorLevels(shift_k=nothing, uncertainty_k=nothing, lasting_k=nothing, degc=np.full(sensor_count, np.nan))
 
 
 def with_past(levels: SensorLevels, degc: FloatArray, at_s: FloatArray) -> SensorLevels:
@@ -111,9 +114,19 @@ def with_past(levels: SensorLevels, degc: FloatArray, at_s: FloatArray) -> Senso
     return replace(levels, left=MappingProxyType(left))
 
 
-def trusted_anew(levels: SensorLevels) -> SensorLevels:
-    """Return the levels at a new reference, which holds every sensor as it is: nothing is doubted."""
-    return replace(levels, uncertainty_k=np.zeros_like(levels.uncertainty_k))
+def trusted_anew(levels: SensorLevels, wrong: BoolArray) -> SensorLevels:
+    """Return the levels at a new reference: what is counted from it is right, temperatures stay as doubted as before.
+
+    `wrong`, shape (n_sensors,): which sensors had been found wrong, nobody knows by how much.
+    """
+    lasting_k = np.where(wrong, UNKNOWN_K, levels.lasting_k + levels.uncertainty_k)
+    return replace(levels, uncertainty_k=np.zeros_like(lasting_k), lasting_k=lasting_k)
+
+
+def doubted(levels: SensorLevels) -> BoolArray:
+    """Return whose temperature as it is may be wrong, shape (n_sensors,)."""
+    since = (levels.uncertainty_k != 0.0) & (levels.lasting_k == 0.0)
+    return np.asarray(since | (np.abs(levels.lasting_k + levels.uncertainty_k) > OWN_K))
 
 
 def renewed_levels(levels: SensorLevels, group: GroupArray, seen: BelievedValues) -> SensorLevels:

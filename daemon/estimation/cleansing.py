@@ -14,8 +14,10 @@ from models.cleanse import CleansingRules, CleansingState, IndexArray, age_s, cl
 from models.quality import GOOD, Quality, Reason
 from models.records import CodeArray, FloatArray, MachineTemperatures, Reference, TemperatureCycle
 from models.sensor_levels import (
+    UNKNOWN_K,
     BelievedValues,
     SensorLevels,
+    doubted,
     first_levels,
     jumped_k,
     renewed_levels,
@@ -98,8 +100,8 @@ class Cleansing:
         if reference is None or not absent.any():
             return self.mean_degc()
         now_s = -np.inf if self.latest is None else self.latest.trace.first_byte.monotonic_s
-        doubted = (self.levels.uncertainty_k != 0.0) & (self.levels.shift_k == 0.0)
-        unsure = doubted | (now_s - self._jumped_at_s <= self.window_s)
+        at_doubted = (self.levels.uncertainty_k != 0.0) & (self.levels.shift_k == 0.0)
+        unsure = at_doubted | (now_s - self._jumped_at_s <= self.window_s)
         return np.where(absent & unsure & np.isnan(reference.degc), np.nan, self.mean_degc())
 
     def withheld(self, degc: FloatArray, confidence: float) -> str:
@@ -166,14 +168,15 @@ class Cleansing:
 
     def believed(self, now: MachineTemperatures, wrong: Collection[int]) -> MachineTemperatures:
         """Return the temperatures with what is believed of them; `wrong`: IDs of sensors that were found wrong."""
-        doubted = dict.fromkeys(np.flatnonzero(self.levels.uncertainty_k).tolist(), "is at a level that is doubted")
-        doubted |= dict.fromkeys(np.flatnonzero(np.isin(self._sensor_ids, [*wrong])).tolist(), "was found wrong")
+        doubts = dict.fromkeys(np.flatnonzero(doubted(self.levels)).tolist(), "is at a level that is doubted")
+        found = np.isin(self._sensor_ids, [*wrong]) | (np.abs(self.levels.lasting_k) > UNKNOWN_K / 2)
+        doubts |= dict.fromkeys(np.flatnonzero(found).tolist(), "was found wrong")
         for name, each in self._standing.items():
             if each.stands_s(now.trace.first_byte.monotonic_s):
-                doubted |= dict.fromkeys(self._lines[name][0].tolist(), "may be answered from memory")
+                doubts |= dict.fromkeys(self._lines[name][0].tolist(), "may be answered from memory")
         degc = np.where(now.age_s > HELD_PERIODS * self._period_s, np.nan, now.degc - self.levels.shift_k)
-        degc[[*doubted]] = np.nan
-        said = {place: f"sensor {self._sensor_ids[place]} {why}" for place, why in doubted.items()}
+        degc[[*doubts]] = np.nan
+        said = {place: f"sensor {self._sensor_ids[place]} {why}" for place, why in doubts.items()}
         return replace(now, believed_degc=degc, doubted=said)
 
     def recall(self, degc: FloatArray, at_s: FloatArray) -> None:
@@ -182,9 +185,9 @@ class Cleansing:
         self.levels = with_past(self.levels, degc, at_s)
         self.units.recall_past(degc)
 
-    def trust_anew(self) -> None:
-        """Take every sensor's level as it is: a new reference counts from it."""
-        self.levels = trusted_anew(self.levels)
+    def trust_anew(self, wrong: Collection[int]) -> None:
+        """Take every sensor's level as it is: a new reference counts from it; `wrong`: IDs of those found wrong."""
+        self.levels = trusted_anew(self.levels, np.isin(self._sensor_ids, [*wrong]))
 
     def on_cycle(self, cycle: TemperatureCycle) -> MachineTemperatures:
         """Take a cycle of one line; return the temperatures of the machine after it."""

@@ -258,6 +258,7 @@ class LevelMemory:
         same = (
             levels.left is before.left,
             levels.uncertainty_k is before.uncertainty_k,
+            levels.lasting_k is before.lasting_k,
             levels.shift_k is before.shift_k,
             levels.gaps is before.gaps,
         )
@@ -281,8 +282,9 @@ class LevelMemory:
             return levels
         place = {sensor_id: index for index, sensor_id in enumerate(self._sensor_ids)}
         since_s = self._to_utc_s()
-        shift_k, uncertainty_k = levels.shift_k.copy(), levels.uncertainty_k.copy()
-        for values, of_store in ((shift_k, kept.shift_k), (uncertainty_k, kept.uncertainty_k)):
+        shift_k, uncertainty_k, lasting_k = (np.zeros(len(place)) for _ in range(3))
+        stored = (shift_k, kept.shift_k), (uncertainty_k, kept.uncertainty_k), (lasting_k, kept.lasting_k)
+        for values, of_store in stored:
             for sensor_id, value in of_store.items():
                 if sensor_id in place:
                     values[place[sensor_id]] = value
@@ -298,6 +300,7 @@ class LevelMemory:
         return SensorLevels(
             shift_k=shift_k,
             uncertainty_k=uncertainty_k,
+            lasting_k=lasting_k,
             degc=levels.degc,
             left=MappingProxyType(left),
             changes=changes,
@@ -321,6 +324,7 @@ class LevelMemory:
             sensor_ids=self._sensor_ids,
             shift_k=self._by_id(levels.shift_k),
             uncertainty_k=self._by_id(levels.uncertainty_k),
+            lasting_k=self._by_id(levels.lasting_k),
             left=tuple(
                 SensorsLeft(
                     away=tuple(away),

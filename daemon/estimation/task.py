@@ -30,6 +30,7 @@ from daemon.messages import (
     ReferenceTakenUp,
     SensorsSinceReference,
     SpindleSpeed,
+    TemperaturesTrusted,
 )
 from daemon.rate_limit import RateLimit
 from daemon.telemetry.metrics import Telemetry
@@ -51,7 +52,15 @@ MOST_WAITING = 100
 """When so many messages wait, a line's next cycle waits until some are taken."""
 
 log = structlog.get_logger(__name__)
-Message = TemperatureCycle | SpindleSpeed | ReferenceRequest | ReferenceEnded | ReferenceTakenUp | ThermalModel
+Message = (
+    TemperatureCycle
+    | SpindleSpeed
+    | ReferenceRequest
+    | ReferenceEnded
+    | ReferenceTakenUp
+    | TemperaturesTrusted
+    | ThermalModel
+)
 """What the thermal task takes."""
 Delivery = (
     ThermalErrorEstimate
@@ -197,6 +206,10 @@ class ThermalTask:
             self._set_reference(item)
         elif isinstance(item, ReferenceTakenUp):
             await self._take_up(item)
+        elif isinstance(item, TemperaturesTrusted):
+            self._cleansing.levels = replace(
+                levels := self._cleansing.levels, lasting_k=np.zeros_like(levels.lasting_k)
+            )
         else:
             await self.use_model(item)
 
@@ -332,7 +345,7 @@ class ThermalTask:
         reference = _reference(request, now, degc)
         self._reference, self._taken_up_s = reference, -np.inf
         self._online, self._next = self._next or self._online, None
-        self._cleansing.trust_anew()
+        self._cleansing.trust_anew(self._since.excluded)
         self._since.begin(reference)
         self._since.positions_mm = self._positions.set_reference(now.monotonic_s)
         if self._online is not None:

@@ -88,7 +88,10 @@ class OperationPlanning:
         if not said:
             return ""
         more = f" and {len(said) - NAMED} more" if len(said) > NAMED else ""
-        return f"{', '.join(said[:NAMED])}{more}: see to it, then position the work again; the speed is frozen"
+        return (
+            f"{', '.join(said[:NAMED])}{more}: see to it, position the work again, and when the temperatures are "
+            "right, `toolpoint enable --spindle-speed`; the speed is frozen"
+        )
 
     def unverified(self, plan: SpeedPlan) -> str:
         """Return why the command may stand where nothing was verified, '' when it cannot.

@@ -101,6 +101,7 @@ class SensorLevelsDocument:
     changes: tuple[LevelChange, ...]
     jumps: tuple[LevelJump, ...] = ()
     gaps: tuple[LevelGap, ...] = ()
+    lasting_k: Mapping[int, float] = field(default_factory=dict[int, float])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,6 +11,8 @@ from speed_rig import CUT, SAFE, SpeedRig
 from thermal_rig import Task, model
 
 from config.schema.service import HistoryConfig
+from daemon.app import Daemon
+from daemon.messages import TemperaturesTrusted
 from daemon.state_store.store import StateStore
 from drivers.guard.speed_text import SpeedStatus
 from models.control.reference_records import ReferenceDocument, ReferenceRecord, ReferenceState
@@ -88,9 +90,42 @@ async def test_a_sensor_at_a_level_that_is_doubted_moves_no_speed(sensors: Senso
     await sensors.speak(40.0, CUT, spindle=[30.5, 28.0, 28.0])
     await frozen(sensors, speed_rpm, "sensor 1 is at a level that is doubted", np.array([30.5, 28.0, 28.0]))
     assert np.isnan(sensors.sent[-1].believed_degc).tolist() == [True, False, False, False, False]
+
+
+async def test_nor_does_it_from_a_new_reference_on_until_a_person_trusts_it(sensors: Sensors) -> None:
+    """What is counted from the reference is right, whatever the sensor says; its temperature is not."""
+    speed_rpm = await sensors.operation()
+    await sensors.speak(110.0, CUT, spindle=[30.5, 28.0, 28.0])
     await sensors.positioned()
+    assert sensors.thermal.task._reference.reference_id == "r2"
+    await frozen(sensors, speed_rpm, "sensor 1 is at a level that is doubted", np.array([30.5, 28.0, 28.0]))
+    await sensors.thermal.history.flushed()
+    sensors.thermal = sensors.thermal.restarted(model())
+    await sensors.speak(60.0, SAFE, spindle=[32.5, 30.0, 30.0], column=30.0)
+    assert "sensor 1 is at a level that is doubted" in sensors.bench.picture()["alarm"], "over a restart neither"
+    await sensors.thermal.task._take(TemperaturesTrusted())
     await sensors.speak(60.0, SAFE, spindle=[32.5, 30.0, 30.0], column=30.0)
     assert sensors.bench.picture()["alarm"] == "" and sensors.bench.picture()["target_rpm"] != speed_rpm
+
+
+async def test_it_counts_when_it_jumps_back_after_the_reference(sensors: Sensors) -> None:
+    await sensors.operation()
+    await sensors.speak(110.0, CUT, spindle=[30.5, 28.0, 28.0])
+    await sensors.positioned()
+    assert sensors.thermal.task._reference.reference_id == "r2"
+    await sensors.speak(20.0, SAFE, spindle=[30.5, 28.0, 28.0])
+    assert sensors.sent[-1].doubted == {0: "sensor 1 is at a level that is doubted"}
+    await sensors.speak(40.0, SAFE)
+    assert sensors.sent[-1].doubted == {} and sensors.bench.picture()["alarm"] == ""
+
+
+async def test_a_sensor_that_was_silent_and_is_itself_again_is_never_doubted(sensors: Sensors) -> None:
+    await sensors.operation()
+    await sensors.speak(180.0, CUT, spindle=[np.nan, 28.0, 28.0])
+    await sensors.speak(40.0, CUT, spindle=[28.4, 28.0, 28.0])
+    await sensors.positioned()
+    await sensors.speak(20.0, SAFE, spindle=[28.4, 28.0, 28.0])
+    assert sensors.sent[-1].doubted == {} and sensors.bench.picture()["alarm"] == ""
 
 
 async def test_a_sensor_that_the_watch_has_excluded_moves_no_speed(sensors: Sensors) -> None:
@@ -100,7 +135,9 @@ async def test_a_sensor_that_the_watch_has_excluded_moves_no_speed(sensors: Sens
     await sensors.thermal.task._take(taken_up)
     await frozen(sensors, speed_rpm, "sensor 3 was found wrong")
     await sensors.positioned()
-    await sensors.speak(60.0, SAFE, spindle=30.0, column=30.0)
+    await frozen(sensors, speed_rpm, "sensor 3 was found wrong", 30.0, 30.0)
+    await sensors.thermal.task._take(TemperaturesTrusted())
+    await sensors.speak(60.0, SAFE, spindle=32.0, column=32.0)
     assert sensors.bench.picture()["alarm"] == ""
 
 
@@ -166,4 +203,11 @@ async def test_what_was_excluded_before_a_restart_is_not_believed_before_the_ref
     await again.ask("r2")
     await again.minutes(1 / 6, spindle=28.0, column=28.0)
     sensors.told()
-    assert sensors.sent[-1].doubted == {}
+    assert sensors.sent[-1].doubted == {2: "sensor 3 was found wrong"}
+
+
+async def test_who_switches_the_tuning_on_trusts_the_temperatures(sensors: Sensors) -> None:
+    daemon = Daemon(sensors.bench.configuration, sensors.bench.clock)
+    assert daemon._switch_spindle_speed(on=False, person="a person") == "" and daemon._inbox.empty()
+    await daemon._commands.handle({"command": "enable", "spindle_speed": True}, "a person")
+    assert daemon._inbox.get_nowait() == TemperaturesTrusted()
