@@ -31,7 +31,6 @@ from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.housekeeping.jobs import job_snapshots, scheduled_jobs
 from daemon.links import DisplacementLog, Links, Serve
-from daemon.messages import TemperaturesTrusted
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import LoadedModel, load_released
 from daemon.model_release.reload import ModelReload
@@ -213,10 +212,10 @@ class Daemon:
         self, interlocks: Interlocks, limits: OutputLimits, model_id: str | None, inbox: "asyncio.Queue[Message]"
     ) -> ControlTask:
         """Return the control task with the macros that it serves beside the block; `inbox` is the thermal task's."""
-        configuration = self._configuration
-        journal = Journal(self._history, self._store, self._resume.faults)
+        configuration, journal = self._configuration, Journal(self._history, self._store, self._resume.faults)
         temperature = TemperatureMacro(configuration, self._telemetry, journal, interlocks)
-        self.spindle_speed = SpindleSpeedOutput(configuration, self._clock, journal, interlocks, self._planner)
+        given = journal, interlocks, self._planner, inbox.put_nowait
+        self.spindle_speed = SpindleSpeedOutput(configuration, self._clock, *given)
         return ControlTask(
             ControlParts(
                 configuration=configuration,
@@ -349,8 +348,6 @@ class Daemon:
 
     def _switch_spindle_speed(self, on: bool, person: str) -> str:
         refusal = self.spindle_speed.turn(on=on, person=person)
-        if on and not refusal:
-            self._inbox.put_nowait(TemperaturesTrusted())
         self._publish_output()
         return refusal
 

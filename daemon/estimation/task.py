@@ -137,8 +137,7 @@ class ThermalTask:
         self._speed_at_s = self._taken_up_s = -np.inf
         self._positions = _open_positions(configuration)
         self._past = HistoryBackfill(configuration, clock, self._positions)
-        machine = self._sensor_ids, _machine(temperatures)
-        self._in_use = partial(_in_use, self._past, self._cleansing, *machine, self._positions)
+        self._in_use = partial(_in_use, self._past, self._cleansing, temperatures, self._positions)
         self._online = self._in_use(model)
         self._next: ModelInUse | None = None  # waits for an estimate to go on from, or a reference
         self._since = SinceReference(self._sensor_ids, self._labels)
@@ -207,9 +206,7 @@ class ThermalTask:
         elif isinstance(item, ReferenceTakenUp):
             await self._take_up(item)
         elif isinstance(item, TemperaturesTrusted):
-            self._cleansing.levels = replace(
-                levels := self._cleansing.levels, lasting_k=np.zeros_like(levels.lasting_k)
-            )
+            self._cleansing.trust_temperatures()
         else:
             await self.use_model(item)
 
@@ -353,8 +350,7 @@ class ThermalTask:
         log.info("reference.set", source=request.source, sensors=usable, of=len(degc))
         self._deliver(reference)
         if self.latest is not None and (first := self._estimate(self.latest)) is not None:
-            first = replace(first, trace=replace(first.trace, cleansed=None))
-            self.latest_estimate = first
+            self.latest_estimate = first = replace(first, trace=replace(first.trace, cleansed=None))
             self._deliver(first)
             if (changed := self._since.changed()) is not None:
                 self._deliver(changed)
@@ -363,14 +359,14 @@ class ThermalTask:
 def _in_use(
     past: HistoryBackfill,
     cleansing: Cleansing,
-    sensor_ids: tuple[int, ...],
-    machine: Machine,
+    temperatures: TemperaturesConfig,
     positions: NoPositions,
     model: ThermalModel | None,
 ) -> ModelInUse | None:
     if model is None:
         return None
-    return ModelInUse(model, sensor_ids, machine, _means_of(past, cleansing, len(sensor_ids)), positions.names)
+    sensor_ids, history = temperatures.sensor_ids, _means_of(past, cleansing, len(temperatures.sensor_ids))
+    return ModelInUse(model, sensor_ids, _machine(temperatures), history, positions.names)
 
 
 def _means_of(past: HistoryBackfill, cleansing: Cleansing, count: int) -> History:

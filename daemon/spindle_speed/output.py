@@ -9,6 +9,7 @@ from config.schema import Configuration
 from daemon.cnc.events import Journal
 from daemon.cnc.interlocks import Interlocks
 from daemon.cnc.session import CncSession
+from daemon.messages import TemperaturesTrusted
 from daemon.snapshots import SpindleSpeedSnapshot
 from drivers.clock import Clock
 from models.records import CncSample, MachineTemperatures, Phase
@@ -40,7 +41,9 @@ class SpindleSpeedOutput:
         journal: Journal,
         interlocks: Interlocks,
         planner: Planner | None,
+        tell_thermal: Callable[[TemperaturesTrusted], None],
     ) -> None:
+        self._tell_thermal = tell_thermal
         self.follower: Follower | None = None
         if (tuning := configuration.spindle_speed) is not None:
             from daemon.spindle_speed import planner_process, task
@@ -68,10 +71,12 @@ class SpindleSpeedOutput:
             await self.follower.follow(session, phase, sample)
 
     def turn(self, *, on: bool, person: str) -> str:
-        """Switch the tuning on or off, as a person asks; return why that is refused, '' when it is taken."""
+        """Switch the tuning on, as the temperatures are, or off; return why that is refused, '' when it is taken."""
         if self.follower is None:
             return "there is no section spindle_speed in the configuration, so there is nothing to switch"
         self.follower.switch.turn(on=on, person=person)
+        if on:
+            self._tell_thermal(TemperaturesTrusted())
         return ""
 
     @property

@@ -206,7 +206,7 @@ async def test_the_switch_takes_nothing_beside_it(bench: SpeedRig, change: dict[
 async def test_without_the_section_there_is_nothing_to_switch(bench: SpeedRig) -> None:
     rig = bench.rig
     without = rig.configuration.model_copy(update={"spindle_speed": None})
-    rig.speed = SpindleSpeedOutput(without, bench.clock, rig.control.journal, rig.interlocks, None)
+    rig.speed = SpindleSpeedOutput(without, bench.clock, rig.control.journal, rig.interlocks, None, rig.asked.append)
     with pytest.raises(RequestError, match="no section spindle_speed"):
         await desk(bench).handle({"command": "disable", "spindle_speed": True}, "a person")
     assert bench.written() == []

@@ -175,7 +175,7 @@ class Rig:
         self.link = CncLink(nc.open, self._open_session)
         journal = Journal(self.history, StateStore(self.history, clock), self.resume.faults)
         self.interlocks = Interlocks(configuration, clock, record, lambda: model_problem, load_record(configuration)[1])
-        self.speed = SpindleSpeedOutput(configuration, clock, journal, self.interlocks, planner)
+        self.speed = SpindleSpeedOutput(configuration, clock, journal, self.interlocks, planner, self.asked.append)
         self.temperature = TemperatureMacro(configuration, self.telemetry, journal, self.interlocks)
         self.control = ControlTask(
             ControlParts(
