@@ -53,8 +53,11 @@ class Requests:
 
     def put_reference(self, person: str) -> str:
         """Queue a reference by hand; return why it is refused, '' when it is taken."""
-        if self._link.session is None or self._references.sample is None:
+        if (session := self._link.session) is None or session.echo is None or self._references.sample is None:
             return "no link to the CNC, so program, work offset and power-on count are unknown"
+        if refusal := self._references.too_early(session.echo.applied_um):
+            self.note_refusal(f"a reference by hand: {refusal}", person)
+            return refusal
         self._reference_by_hand = new_id()
         ask = partial(self._references.request, self._reference_by_hand, f"hand: {person}", positioning=False)
         self._inbox.put(ask)

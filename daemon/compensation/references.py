@@ -121,10 +121,13 @@ class References:
         """The handshake reports a positioning."""
         self._step(reference.positioned_by_handshake(self.memory, self._rules))
 
+    def too_early(self, applied_um: FloatArray) -> str:
+        """Return why none can be set while this is applied, '' when one can: the estimation is not even asked."""
+        return reference.still_applied(self._rules, _most_um(applied_um))
+
     def adopt(self, found: Reference, applied_um: FloatArray) -> str:
         """Take a reference into force; return why it is refused, '' when it holds."""
-        still_um = float(np.nan_to_num(np.abs(applied_um)).max())
-        self._step(reference.adopt(self.memory, found, self._rules, still_applied_um=still_um))
+        self._step(reference.adopt(self.memory, found, self._rules, still_applied_um=_most_um(applied_um)))
         _, refusal = self.memory.outcome
         if not refusal:
             self._history.reference(found)
@@ -237,6 +240,10 @@ class References:
             self._journal.say(effect.kind, effect.text)
         else:
             self._tell_thermal(effect)
+
+
+def _most_um(applied_um: FloatArray) -> float:
+    return float(np.nan_to_num(np.abs(applied_um)).max())
 
 
 def new_id() -> str:

@@ -173,6 +173,16 @@ def adopt(memory: ReferenceMemory, reference: Reference, rules: ReferenceRules, 
     return moved(memory, in_force=True), (Announcement(kind="reference", text=f"set by {reference.source}"),)
 
 
+def still_applied(rules: ReferenceRules, still_applied_um: float) -> str:
+    """Return why no reference can be set while so much is applied [um], '' when one can."""
+    if not rules.zero_first or still_applied_um <= 0.0:
+        return ""
+    return (
+        f"the policy is zero_first and {still_applied_um:.1f} um are still applied; let the program wait "
+        "at its retreat block until the offset is out"
+    )
+
+
 def refuse(memory: ReferenceMemory, reference_id: str, why: str) -> Step:
     """Take the refusal of a reference that was asked for; work that was positioned has none then."""
     asked = _request_for(memory, reference_id)
@@ -407,11 +417,8 @@ def _refusal(
     what = f"reference of {reference.source} refused"
     if asked is None:
         return f"{what}: it is no longer waited for"
-    if rules.zero_first and still_applied_um > 0.0:
-        return (
-            f"{what}: the policy is zero_first and {still_applied_um:.1f} um are still applied; let the program wait "
-            "at its retreat block until the offset is out"
-        )
+    if why := still_applied(rules, still_applied_um):
+        return f"{what}: {why}"
     if memory.sample is not None and (ended := end_of_reference(reference, memory.sample)):
         return f"{what}: meanwhile {ended}"
     return ""

@@ -360,6 +360,23 @@ async def test_zero_first_takes_the_offset_out_at_the_retreat_block_and_refuses_
         assert rig.applied["z"] == pytest.approx(3.0, abs=0.11)
 
 
+async def test_zero_first_refuses_a_reference_by_hand_before_anything_begins_to_count_from_it(tmp_path):
+    """The estimation would trust every sensor anew, and the reference that stays in force would be without their doubt."""
+    bench = zero_first(Bench(tmp_path))
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        assert rig.control.request_reference("Ada") == ""
+        await rig.hear()
+        assert last_asked(rig).source == "hand: Ada"
+        rig.set_reference(last_asked(rig).reference_id, positioning=False)
+        await rig.follow(0.0, -8.0, 40)
+        rig.asked.clear()
+        assert "zero_first and 8.0 um are still applied" in rig.control.request_reference("Ada")
+        await rig.follow(0.0, -8.0, 2)
+        assert rig.state == "ACTIVE" and not rig.asked
+        assert "zero_first" in rig.control.journal.notices[-1]
+
+
 async def test_a_reference_that_has_ended_never_comes_back_by_a_sensor_that_returns(rig, bench):
     await rig.active()
     await rig.follow(0.0, -8.0, 40)
