@@ -147,9 +147,13 @@ def _counts_with(configuration: Configuration, um_per_unit: Mapping[str, float])
         for each in temperatures.inputs
     ]
     sensors = json.dumps([temperatures.sensor_ids, read])
+    axes = configuration.compensation.axes
+    terms = [(name, axis.tool_term) for name, axis in axes.items() if axis.tool_term is not None]
+    tools = {name: [term.model_dump(), [*map(temperatures.labels.get, term.temperatures)]] for name, term in terms}
     return {
         "the list of sensors or what one of them reads": hashlib.sha256(sensors.encode()).hexdigest(),
         "the commissioned movement per macro value": json.dumps(dict(um_per_unit)),
+        "what an axis follows, or its tool term": json.dumps([{n: axis.estimate for n, axis in axes.items()}, tools]),
     }
 
 

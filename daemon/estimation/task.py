@@ -251,11 +251,11 @@ class ThermalTask:
         if (jumped_k := self._cleansing.jumped_k) is not None:
             for each in filter(None, (self._online, self._next)):
                 each.jumped(jumped_k)
-        read_wrong = self._online is not None and self._past.calendar_set(self._online.memory_s)
-        if (self._cleansing.gap_ended and self._online is not None) or read_wrong:
-            models = [each.model for each in (self._online, self._next) if each is not None]
-            for place, model in enumerate(models):
-                await self.use_model(model, at_once=place == 0)
+        models = [each for each in (self._online, self._next) if each is not None]
+        read_wrong = self._past.calendar_set(max((each.memory_s for each in models), default=0.0))
+        if self._cleansing.gap_ended or read_wrong:
+            for place, each in enumerate(models):
+                await self.use_model(each.model, at_once=place == 0)
         self._levels.keep(self._cleansing.levels, self._cleansing.units.found)
         self.cycles_received += 1
         self._telemetry.arrived(cycle)

@@ -13,6 +13,7 @@ from control_rig import (
 from wires import EVER, check_audit
 
 from config.records.commissioning import CommissionedAxis
+from config.schema.compensation import ToolTermConfig
 from daemon.history import HistoryReader
 from daemon.messages import ReferenceRefused, ReferenceRequest, ReferenceTakenUp
 from models.control.state import OperatorRequest
@@ -20,6 +21,7 @@ from models.records import WriteOutcome
 
 ECHO_Y = 512
 ACKNOWLEDGE = OperatorRequest(acknowledge=True)
+TERM = ToolTermConfig(length_mm=200.0, expansion_um_per_m_k=10.0, temperatures={"A": 1.0})
 
 
 @pytest.fixture
@@ -99,16 +101,27 @@ async def test_an_estimate_right_after_the_restart_does_not_count_twice(bench):
     [
         ({"temperatures": "exchanged"}, "the list of sensors or what one of them reads changed"),
         ({"record": -1}, "the commissioned movement per macro value changed"),
+        ({"z": {"estimate": "Y1"}}, "what an axis follows, or its tool term changed"),
+        ({"z": {"tool_term": TERM}}, "what an axis follows, or its tool term changed"),
     ],
 )
-async def test_a_reference_counts_with_the_sensors_and_factors_of_its_run_alone(bench, changes, words):
-    """Its temperatures are kept in the sensors' order, its baseline in um: taken up, 10 K and 20 um would be wrong."""
+async def test_a_reference_counts_with_the_sensors_factors_and_axes_of_its_run_alone(bench, changes, words):
+    """Its temperatures are kept in the sensors' order, its baseline in um: taken up, 10 K and 20 um would be wrong.
+
+    A tool setting and a probe hold the estimate of what their axis followed then.
+    """
     await leave(bench)
     if "temperatures" in changes:
         content = bench.configuration.model_dump(mode="json")
         first, *others = content["temperatures"]["sensors"]
         content["temperatures"]["sensors"] = [*others, first]
         bench.configuration = type(bench.configuration).model_validate_json(json.dumps(content))
+        record = record_for(bench.configuration)
+    elif "z" in changes:
+        compensation = bench.configuration.compensation
+        z = compensation.axes["z"].model_copy(update=changes["z"])
+        compensation = compensation.model_copy(update={"axes": compensation.axes | {"z": z}})
+        bench.configuration = bench.configuration.model_copy(update={"compensation": compensation})
         record = record_for(bench.configuration)
     else:
         axes = dict.fromkeys("xyz", CommissionedAxis(sign=-1, scale=1.0, written_um=10.0, measured_um=-10.0))

@@ -361,7 +361,7 @@ async def test_zero_first_takes_the_offset_out_at_the_retreat_block_and_refuses_
 
 
 async def test_zero_first_refuses_a_reference_by_hand_before_anything_begins_to_count_from_it(tmp_path):
-    """The estimation would trust every sensor anew, and the reference that stays in force would be without their doubt."""
+    """The estimation would trust every sensor anew, and the reference that stays would be without their doubt."""
     bench = zero_first(Bench(tmp_path))
     async with running(bench.rig()) as rig:
         await rig.active()

@@ -491,3 +491,28 @@ async def test_the_past_is_read_again_when_a_calendar_that_was_wrong_at_the_star
     np.testing.assert_allclose(loop.thermal_error_um, twin.thermal_error_um, atol=1.0)
     for shop in shops:
         await shop.end()
+
+
+async def test_a_model_that_is_released_after_the_calendar_was_set_reads_the_past_by_the_calendar_of_then(
+    tmp_path, model
+):
+    """Nobody asked for the calendar while no model was in use; what was read of the past was three hours old."""
+    shop = Shop(tmp_path, None)
+    await shop.end()
+    shop.clock.calendar_s -= 10800.0
+    shop.begin()
+    await shop.prepare()
+    await shop.run(3)
+    shop.clock.calendar_s += 10800.0
+    shop.clock.monotonic_s += 86400.0
+    await shop.run(60)
+    await shop.history.flushed()
+    await shop.task.use_model(model)
+    known = shop.task._online._online.filled
+    now_s = shop.clock.now().monotonic_s
+    read = np.array([row[0] for _, row, _ in shop.task._past.means(now_s - 3600.0, now_s, 60.0)])
+    assert np.isfinite(read).sum() >= 58
+    assert known > 0.0
+    await shop.run(2)
+    assert shop.task._online._online.filled == pytest.approx(known, abs=0.02)
+    await shop.end()
