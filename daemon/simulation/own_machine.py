@@ -77,6 +77,7 @@ def prepare(path: Path, directory: Path, *, speed: float, http_port: int | None,
     """
     configuration = load_configuration(path)
     base = yaml.safe_load(path.read_text(encoding="utf-8"))
+    base["machine"] = f"simulated {configuration.machine}"
     for section in (section for section in LEFT_OUT if base.pop(section, None)):
         say(f"{section}: left out")
     _move_sensors(base, configuration, directory, say)
@@ -248,7 +249,7 @@ def _train(configuration: Configuration, path: Path) -> None:
         choices = IncrementChoices(interval_min=INTERVAL_MIN, ridge_k2="auto", split_at_speed_changes=False)
         recipe = RECIPES["ridge"] if slopes else increment_recipe(choices)  # a slope is told by passes of minutes
         created = datetime.now(UTC).isoformat(timespec="seconds")
-        model = train_family(recordings, recipe, sample_s=60.0, created=created).model
+        model = train_family(recordings, recipe, sample_s=60.0, created=created, machine=configuration.machine).model
     except ValueError as error:
         raise SimulationError(f"no model can be trained on these sensors: {error}") from error
     write_model_file(model, path)
