@@ -62,7 +62,8 @@ class ModbusSensorConfig(ModbusRegister, SourceSensorConfig):
     @property
     def step_k(self) -> float:
         """Step in which it counts [K]; 0 where the register holds fractions."""
-        return 0.0 if self.type == "float32" else abs(self.value(1.0) - self.value(0.0))
+        of_register = 0.0 if self.type == "float32" else abs(self.value(1.0) - self.value(0.0))
+        return max(of_register, super().step_k)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

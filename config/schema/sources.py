@@ -71,6 +71,11 @@ class SourceSensorConfig(Measured):
     open: list[float] = Field(
         default_factory=list, description="numbers as read that say that the sensor is open, shorted or absent"
     )
+    resolution: float = Field(
+        0.0,
+        ge=0,
+        description="step of the temperature in the unit, where what sends it rounds: 0.5; 0: not known",
+    )
     min_degc: float | None = Field(
         None,
         description="lower values are impossible for this sensor; left out: `cleansing.min_degc`",
@@ -119,7 +124,7 @@ class SourceSensorConfig(Measured):
     @property
     def step_k(self) -> float:
         """Step in which it counts [K]; 0 where it is not known."""
-        return 0.0
+        return self.resolution / DEGF_PER_K if self.unit == "degF" else self.resolution
 
     def value(self, number: float) -> float:
         """Return the temperature of a number as read [degC]."""

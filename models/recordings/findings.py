@@ -333,7 +333,7 @@ def _warms_at_once(recording: Recording) -> bool:
     rows = int(AT_ONCE_S / recording.sample_s) if recording.rows > 1 else 0
     if not FEWEST_AT_ONCE <= rows < recording.rows:
         return False
-    soon = recording.time_s[rows:] - recording.time_s[:-rows] <= AT_ONCE_S
+    soon = recording.time_s[rows:] - recording.time_s[:-rows] <= 1.01 * AT_ONCE_S
     at_once = []
     for column in recording.temperatures_degc[:, : recording.sensors].T:
         known = column[np.isfinite(column)]

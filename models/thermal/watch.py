@@ -28,6 +28,12 @@ MOVED = 0.5
 were ever wrong about it in training, and by more than the step in which it counts."""
 COARSE_K = 0.05
 """The mean over a minute of a sensor that counts in steps of so much is often twice the same [K]."""
+USUAL_STEPS_K = (1.0, 0.5, 0.25, 0.1, 0.0625, COARSE_K)
+"""Steps in which sensors and what reads them count [K], from the largest."""
+ON_STEP = 1e-3
+"""A value is a multiple of a step when it is so near to one, in steps; it may have come in single precision."""
+STEPS_OF_LIMIT = 1.5
+"""A sensor that counts in steps departs by so many of them from what others say, which are between two steps."""
 CONFIRM_MIN = 10.0
 """A departure must last so long [min] before it is a fault."""
 MOST_MAP_VALUES = 500_000
@@ -91,12 +97,28 @@ class WatchState:
     """Since when the others say that each sensor has left that value [min]; now where they do not."""
     heard: npt.NDArray[np.bool_]
     """Which sensors have ever had a value; before, one stands at its mean of training."""
+    in_steps: npt.NDArray[np.bool_]
+    """Which sensors count in coarse steps, as far as that is known, or as a value that stood still has told."""
     faults: tuple[SensorFault, ...] = field(default=())
 
     @property
     def excluded(self) -> tuple[int, ...]:
         """Indices of the excluded sensors, sorted."""
         return tuple(sorted({fault.sensor for fault in self.faults}))
+
+
+def usual_step_k(degc: FloatArray) -> FloatArray:
+    """Return the largest usual step of which each temperature is a multiple, in degC or degF [K]; else 0.
+
+    `degc`, shape (n,): temperatures [degC].
+    """
+    step_k = np.zeros(len(degc))
+    for shown, per_k in ((degc, 1.0), (1.8 * degc + 32.0, 1.8)):
+        for step in USUAL_STEPS_K:
+            steps = shown / step
+            on_it = np.abs(steps - np.round(steps)) <= ON_STEP
+            step_k = np.where(on_it, np.maximum(step_k, step / per_k), step_k)
+    return step_k
 
 
 def _expected(of_out: FloatArray, scaled: FloatArray, out: npt.NDArray[np.intp]) -> FloatArray:
@@ -110,14 +132,15 @@ class Watcher:
     """Steps the state of a watch; keeps only what follows from the watch itself.
 
     `watch`: limits and predictions from training. `steps_k`: step in which each sensor counts [K], 0 where none is
-    known; empty: of none. Training may have seen finer values.
+    known; empty: of none. Training may have seen finer values. Where none is known, a value that stands still tells the
+    step: one that is a multiple of a usual step may be that of a sensor that counts in it.
     """
 
     def __init__(self, watch: SensorWatch, steps_k: Sequence[float] = ()) -> None:
         self.watch = watch
         steps = np.array(steps_k) if len(steps_k) else np.zeros(watch.layout.sensors)
-        self._flat_min = np.where(steps >= COARSE_K, np.maximum(watch.flat_min, FLAT_MIN), watch.flat_min)
-        self._moved = np.maximum(MOVED, steps / watch.threshold_k)
+        self._steps_k = steps
+        self._threshold_k = np.maximum(watch.threshold_k, STEPS_OF_LIMIT * steps)
         self._maps: dict[tuple[int, ...], tuple[FloatArray, FloatArray]] = {}
         self._most_maps = max(2, MOST_MAP_VALUES // (watch.layout.sensors * watch.layout.columns))
         _, self._usual = self._map(())
@@ -194,6 +217,7 @@ class Watcher:
             flat_from=np.zeros(count),
             moved_since_min=np.full(count, time_min),
             heard=np.isfinite(degc),
+            in_steps=self._steps_k >= COARSE_K,
         )
 
     def _columns(self, degc: FloatArray, lagged: FloatArray, speed_lagged: FloatArray) -> FloatArray:
@@ -255,6 +279,8 @@ class Watcher:
         fast = columns + np.exp(-elapsed_min / FAST_MIN) * (state.fast - columns)
         moved = state.departed - state.flat_from
         same = (np.abs(filled - state.degc) <= SAME_K) & (elapsed_min <= BRIDGE_MIN)
+        step_k = self._counted_in_k(filled, same)
+        least = np.maximum(MOVED, step_k / self._threshold_k)
         return WatchState(
             time_min=time_min,
             degc=filled,
@@ -268,18 +294,20 @@ class Watcher:
             over_min=state.over_min,
             departed=state.departed,
             flat_from=np.where(same, state.flat_from, state.departed),
-            moved_since_min=np.where(same & (np.abs(moved) > self._moved), state.moved_since_min, time_min),
+            moved_since_min=np.where(same & (np.abs(moved) > least), state.moved_since_min, time_min),
             heard=state.heard | known,
+            in_steps=state.in_steps | (step_k >= COARSE_K),
             faults=state.faults,
         )
 
     def _faults_at_once(self, before: WatchState, now: WatchState, degc: FloatArray) -> list[SensorFault]:
         watch, excluded = self.watch, set(now.excluded)
-        slew = np.abs(now.degc - before.degc) / np.maximum(now.time_min - before.known_min, 1e-9)
+        change_k = np.maximum(np.abs(now.degc - before.degc) - self._steps_k, 0.0)
+        slew = change_k / np.maximum(now.time_min - before.known_min, 1e-9)
         signs = {
             MISSING: now.time_min - now.known_min > max(BRIDGE_MIN, 2.5 * (now.time_min - before.time_min)),
             "slew": np.isfinite(degc) & before.heard & (slew > watch.slew_k_per_min),
-            "flat": np.isfinite(degc) & (now.time_min - now.flat_since_min >= self._flat_min) & self._stands(now),
+            "flat": np.isfinite(degc) & self._stands(now),
         }
         found = []
         for sign, applies in signs.items():
@@ -290,11 +318,19 @@ class Watcher:
         return found
 
     def _stands(self, state: WatchState) -> npt.NDArray[np.bool_]:
-        """Return which sensors must not stand still: they never did, or the others say that they have moved for long.
+        """Return which sensors stand still for too long: they never did, or the others say that they have moved.
 
         A sensor that counts in steps keeps its value for as long as the machine hardly warms.
         """
-        return np.asarray((self._flat_min < FLAT_MIN) | (state.time_min - state.moved_since_min >= FLAT_MIN))
+        flat_min = np.where(state.in_steps, np.maximum(self.watch.flat_min, FLAT_MIN), self.watch.flat_min)
+        must_move = (flat_min < FLAT_MIN) | (state.time_min - state.moved_since_min >= FLAT_MIN)
+        return np.asarray((state.time_min - state.flat_since_min >= flat_min) & must_move)
+
+    def _counted_in_k(self, degc: FloatArray, same: npt.NDArray[np.bool_]) -> FloatArray:
+        """Return the step of each sensor [K]; where none is known, that of a value which stands still, 0 of others."""
+        step_k, told = self._steps_k.copy(), same & (self._steps_k <= 0.0)
+        step_k[told] = usual_step_k(degc[told])
+        return step_k
 
     def relative_departures(self, state: WatchState, excluded: tuple[int, ...]) -> FloatArray:
         """Return each sensor's departure over its threshold, without some sensors, shape (n_sensors,)."""
@@ -303,7 +339,7 @@ class Watcher:
     def _departed(self, state: WatchState, excluded: tuple[int, ...]) -> FloatArray:
         maps, expected = self._map(excluded)
         widening = np.divide(expected, self._usual, out=np.ones_like(expected), where=self._usual > 0.0)
-        limit_k = self.watch.threshold_k * np.maximum(widening, 1.0)
+        limit_k = self._threshold_k * np.maximum(widening, 1.0)
         return np.asarray(maps @ (state.fast - state.slow) / limit_k)
 
     def _find_departures(self, state: WatchState, elapsed_min: float) -> WatchState:

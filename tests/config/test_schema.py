@@ -395,15 +395,17 @@ def test_an_editor_takes_ranges_and_numbers_too() -> None:
     jsonschema.validate(content, configuration_json_schema())
 
 
-def test_the_step_of_a_sensor_is_that_of_its_device_or_register_in_kelvin() -> None:
+def test_the_step_of_a_sensor_is_that_of_its_device_its_register_or_what_sends_it_in_kelvin() -> None:
     registers = [
         {"id": 6, "component": "Bed", "address": 0, "scale": 0.1},
         {"id": 7, "component": "Bed", "address": 1, "scale": 0.1, "unit": "degF"},
         {"id": 8, "component": "Bed", "address": 2, "type": "float32"},
+        {"id": 9, "component": "Bed", "address": 4, "type": "float32", "unit": "degF", "resolution": 0.9},
+        {"id": 10, "component": "Bed", "address": 6, "scale": 0.1, "resolution": 1.0},
     ]
     source = {**BOX, "modbus": {"host": "x", "sensors": registers}}
     content = yaml.safe_load(changed("temperatures.sources", [source]))
     content["temperatures"]["sensors"][0]["device"] = "MLX90615"
     steps_k = parse_yaml_model(yaml.safe_dump(content), Configuration, "f.yaml").temperatures.steps_k
-    expected = {1: 0.02, 2: 0.0625, 3: 0.0625, 4: 0.0625, 6: 0.1, 7: 0.1 / 1.8, 8: 0.0}
+    expected = {1: 0.02, 2: 0.0625, 3: 0.0625, 4: 0.0625, 6: 0.1, 7: 0.1 / 1.8, 8: 0.0, 9: 0.5, 10: 1.0}
     assert steps_k == pytest.approx(expected)

@@ -14,7 +14,7 @@ from models.thermal.solution import KNOWN_SHARE, far_confidence
 from models.thermal.training.folds import inner_folds
 from models.thermal.training.inputs import build_inputs
 from models.thermal.training.watch_fit import _few_runs_factor, fit_watch, smoothed
-from models.thermal.watch import Watcher, WatchState
+from models.thermal.watch import Watcher, WatchState, usual_step_k
 
 SENSORS = 6
 
@@ -259,6 +259,67 @@ def test_a_machine_that_counts_in_coarser_steps_than_training_may_stand_still_an
     stuck[700:, 2] = stuck[700, 2]
     found = [fault.sensor for fault in follow(watch, stepped, stuck, steps_k=steps_k).faults]
     assert found == [2]
+
+
+@pytest.mark.parametrize("readings", [1, 6])
+@pytest.mark.parametrize("single", [False, True])
+def test_a_machine_whose_values_turn_out_to_be_rounded_may_stand_still_and_a_stuck_sensor_may_not(
+    watch: SensorWatch, whole: Recording, readings: int, single: bool
+) -> None:
+    assert whole.speed_rpm is not None
+    rng = np.random.default_rng(3)
+
+    def read(degc: FloatArray) -> FloatArray:
+        noisy = degc + rng.normal(0.0, 0.02 if readings > 1 else 0.0, (readings, *degc.shape))
+        shown = np.round(noisy / 0.1) * 0.1
+        return np.asarray((shown.astype(np.float32) if single else shown).mean(axis=0, dtype=np.float64))
+
+    creep = whole.temperatures_degc[0] + 0.25 * np.sin(np.linspace(0.0, np.pi, 600))[:, None]
+    degc = np.vstack([read(creep), read(whole.temperatures_degc)])
+    resting = replace(
+        whole,
+        time_s=60.0 * np.arange(float(len(degc))),
+        speed_rpm=np.concatenate([np.repeat(whole.speed_rpm[:1], 600), whole.speed_rpm]),
+        temperatures_degc=degc,
+        displacements_um=np.zeros((len(degc), 1)),
+    )
+    assert follow(watch, resting, degc, 10).faults == (), "no step is known of these sensors"
+    stuck = degc.copy()
+    stuck[1300:, 2] = np.round(degc[1300, 2], 1)
+    assert [fault.sensor for fault in follow(watch, resting, stuck, 10).faults] == [2]
+    fine = np.vstack([creep + rng.normal(0.0, 0.02, creep.shape), whole.temperatures_degc])
+    fine[100:, 2] = fine[100, 2]
+    (fault,) = follow(watch, resting, fine, 10).faults
+    assert (fault.sensor, fault.sign) == (2, "flat") and fault.time_min < 107.0, "a value that is on no step, at once"
+
+
+@pytest.mark.parametrize("step_k", [0.5, 1.0])
+def test_a_sensor_whose_coarse_step_is_known_departs_and_jumps_by_its_step(
+    watch: SensorWatch, whole: Recording, step_k: float
+) -> None:
+    stepped, steps_k = in_steps(whole, step_k), (step_k,) * SENSORS
+    assert follow(watch, stepped, stepped.temperatures_degc, 10, steps_k).faults == ()
+    broken = stepped.temperatures_degc.copy()
+    broken[700:, 2] = 850.0
+    assert [fault.sensor for fault in follow(watch, stepped, broken, 10, steps_k).faults] == [2]
+
+
+@pytest.mark.parametrize(
+    ("degc", "step_k"),
+    [
+        (23.0, 1.0),
+        (23.5, 0.5),
+        (23.1, 0.1),
+        (float(np.float32(23.1)), 0.1),
+        (23.0625, 0.0625),
+        (21.35, 0.05),
+        ((71.3 - 32.0) / 1.8, 0.1 / 1.8),
+        (296.4 - 273.15, 0.25),
+        (23.1234, 0.0),
+    ],
+)
+def test_a_value_tells_the_usual_step_that_it_is_a_multiple_of(degc: float, step_k: float) -> None:
+    assert usual_step_k(np.array([degc])) == pytest.approx([step_k])
 
 
 def test_far_in_a_direction_that_training_knows_is_not_far() -> None:
