@@ -28,7 +28,7 @@ MOVED = 0.5
 were ever wrong about it in training, and by more than the step in which it counts."""
 COARSE_K = 0.05
 """The mean over a minute of a sensor that counts in steps of so much is often twice the same [K]."""
-USUAL_STEPS_K = (1.0, 0.5, 0.25, 0.1, 0.0625, COARSE_K)
+USUAL_STEPS_K = np.array([1.0, 0.5, 0.25, 0.1, 0.0625, COARSE_K])
 """Steps in which sensors and what reads them count [K], from the largest."""
 ON_STEP = 1e-3
 """A value is a multiple of a step when it is so near to one, in steps; it may have come in single precision."""
@@ -114,10 +114,9 @@ def usual_step_k(degc: FloatArray) -> FloatArray:
     """
     step_k = np.zeros(len(degc))
     for shown, per_k in ((degc, 1.0), (1.8 * degc + 32.0, 1.8)):
-        for step in USUAL_STEPS_K:
-            steps = shown / step
-            on_it = np.abs(steps - np.round(steps)) <= ON_STEP
-            step_k = np.where(on_it, np.maximum(step_k, step / per_k), step_k)
+        steps = shown[:, None] / USUAL_STEPS_K
+        on_it = np.abs(steps - np.round(steps)) <= ON_STEP
+        step_k = np.maximum(step_k, np.max(np.where(on_it, USUAL_STEPS_K, 0.0), axis=1) / per_k)
     return step_k
 
 
@@ -132,15 +131,13 @@ class Watcher:
     """Steps the state of a watch; keeps only what follows from the watch itself.
 
     `watch`: limits and predictions from training. `steps_k`: step in which each sensor counts [K], 0 where none is
-    known; empty: of none. Training may have seen finer values. Where none is known, a value that stands still tells the
-    step: one that is a multiple of a usual step may be that of a sensor that counts in it.
+    known, so that values which stand still tell it; empty: of none. Training may have seen finer values.
     """
 
     def __init__(self, watch: SensorWatch, steps_k: Sequence[float] = ()) -> None:
         self.watch = watch
-        steps = np.array(steps_k) if len(steps_k) else np.zeros(watch.layout.sensors)
-        self._steps_k = steps
-        self._threshold_k = np.maximum(watch.threshold_k, STEPS_OF_LIMIT * steps)
+        self._steps_k = np.array(steps_k) if len(steps_k) else np.zeros(watch.layout.sensors)
+        self._threshold_k = np.maximum(watch.threshold_k, STEPS_OF_LIMIT * self._steps_k)
         self._maps: dict[tuple[int, ...], tuple[FloatArray, FloatArray]] = {}
         self._most_maps = max(2, MOST_MAP_VALUES // (watch.layout.sensors * watch.layout.columns))
         _, self._usual = self._map(())
@@ -279,7 +276,8 @@ class Watcher:
         fast = columns + np.exp(-elapsed_min / FAST_MIN) * (state.fast - columns)
         moved = state.departed - state.flat_from
         same = (np.abs(filled - state.degc) <= SAME_K) & (elapsed_min <= BRIDGE_MIN)
-        step_k = self._counted_in_k(filled, same)
+        step_k, told = self._steps_k.copy(), same & (self._steps_k <= 0.0)
+        step_k[told] = usual_step_k(filled[told])
         least = np.maximum(MOVED, step_k / self._threshold_k)
         return WatchState(
             time_min=time_min,
@@ -302,8 +300,7 @@ class Watcher:
 
     def _faults_at_once(self, before: WatchState, now: WatchState, degc: FloatArray) -> list[SensorFault]:
         watch, excluded = self.watch, set(now.excluded)
-        change_k = np.maximum(np.abs(now.degc - before.degc) - self._steps_k, 0.0)
-        slew = change_k / np.maximum(now.time_min - before.known_min, 1e-9)
+        slew = (np.abs(now.degc - before.degc) - self._steps_k) / np.maximum(now.time_min - before.known_min, 1e-9)
         signs = {
             MISSING: now.time_min - now.known_min > max(BRIDGE_MIN, 2.5 * (now.time_min - before.time_min)),
             "slew": np.isfinite(degc) & before.heard & (slew > watch.slew_k_per_min),
@@ -325,12 +322,6 @@ class Watcher:
         flat_min = np.where(state.in_steps, np.maximum(self.watch.flat_min, FLAT_MIN), self.watch.flat_min)
         must_move = (flat_min < FLAT_MIN) | (state.time_min - state.moved_since_min >= FLAT_MIN)
         return np.asarray((state.time_min - state.flat_since_min >= flat_min) & must_move)
-
-    def _counted_in_k(self, degc: FloatArray, same: npt.NDArray[np.bool_]) -> FloatArray:
-        """Return the step of each sensor [K]; where none is known, that of a value which stands still, 0 of others."""
-        step_k, told = self._steps_k.copy(), same & (self._steps_k <= 0.0)
-        step_k[told] = usual_step_k(degc[told])
-        return step_k
 
     def relative_departures(self, state: WatchState, excluded: tuple[int, ...]) -> FloatArray:
         """Return each sensor's departure over its threshold, without some sensors, shape (n_sensors,)."""
