@@ -52,6 +52,17 @@ def test_a_request_that_is_answered_in_time_is_right_and_a_probe_is_expected_in_
     assert [(probe.axis, probe.deviation_um) for probe in bench.watch.probes] == [(3, 4.0)]
 
 
+def test_a_tool_whose_name_was_withdrawn_is_unnamed_until_a_name_is_taken(bench: Bench) -> None:
+    assert not bench.watch.tool_unnamed
+    bench.watch.asked(request(kind=3))
+    bench.watch.asked(request())
+    assert bench.watch.answered(CALM_FROM_S + 3.0, 7.0) == "probe"
+    assert bench.watch.tool_unnamed
+    bench.watch.asked(request(kind=3))
+    assert bench.watch.answered(CALM_FROM_S + 6.0, 7.0) == "tool"
+    assert not bench.watch.tool_unnamed
+
+
 def test_a_request_without_an_answer_is_found(bench: Bench) -> None:
     bench.watch.asked(request())
     bench.watch.heard(CALM_FROM_S + ANSWERED_WITHIN_S + 0.1, claims(), 0.0)

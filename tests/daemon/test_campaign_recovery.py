@@ -10,6 +10,8 @@ from daemon.simulation.faults.recovery import WITHIN_S, CutFreeze, GoodInput, Re
 from daemon.simulation.faults.script import Happening, Incident
 from drivers.sim.faults import FaultKind
 
+NAMED_T2 = "the control shows T1, and the NC program has named T2"
+
 
 def truth(**changes: bool) -> Truth:
     content = {"reachable": True, "temperatures": True, "distrust": False, "echo_known": True, "at_zero": False}
@@ -30,6 +32,8 @@ def truth(**changes: bool) -> Truth:
         ("ACTIVE", {"distrust": True}, {}, "FAULT"),
         ("HOLD", {"frozen_in_cut": True}, {}, "HOLD"),
         ("ACTIVE", {"frozen_in_cut": True}, {}, "HOLD"),
+        ("ARMED", {"tool_unnamed": True}, {"reason": NAMED_T2}, "ARMED"),
+        ("ARMED", {}, {"reason": NAMED_T2}, "ACTIVE"),
         ("HOLD", {"distrust": True}, {}, "FAULT"),
         ("FAULT", {}, {}, "FAULT"),
         ("ACTIVE", {}, {"wanted": (False,)}, "RETREAT"),

@@ -18,7 +18,7 @@ TAKEN_UP_AFTER_S = 60.0
 WAITS_S = 240.0
 """... or so much later where the daemon says why it waits: a silent sensor counts for two minutes."""
 AT_ZERO_UM = 0.06
-PROBE = 2
+PROBE, TOOL_CHANGE = 2, 3
 CALM_S = 60.0
 """Requests and models are judged when nothing else has happened for so long [s]."""
 HAND_S = 15.0
@@ -88,6 +88,8 @@ class OperationsWatch:
         self.retreating = False
         """The daemon has seen the retreat block and has set no reference since."""
         self.probes: list[Probe] = []
+        self.tool_unnamed = False
+        """A tool came, and its name was not taken: the program gave up waiting, as while the link was away."""
 
     # --- what happens ---------------------------------------------------------------------
 
@@ -124,6 +126,7 @@ class OperationsWatch:
 
     def asked(self, request: Request) -> None:
         self._waiting = self.latest = request
+        self.tool_unnamed |= request.kind == TOOL_CHANGE and not request.nonsense
 
     def answered(self, time_s: float, value: float) -> str:
         """Take an answer as it is written; return the mark under which the output must not step, '' for none."""
@@ -139,6 +142,7 @@ class OperationsWatch:
             self._ledger.check("request_answered", True)
         if request is None or value <= 0:
             return ""
+        self.tool_unnamed &= request.kind != TOOL_CHANGE
         if request.kind == PROBE:
             self.probes.append(Probe(answered_s=time_s, axis=request.axis, deviation_um=request.value_mm * 1e3))
             return "probe"

@@ -16,7 +16,7 @@ from drivers.sim.faults import FaultKind
 
 STAYING = frozenset({"ACTIVE", "HOLD"})
 """States in which a cut freezes the weight of the estimate."""
-FOUND_LATER = "found wrong later"
+FOUND_LATER, NAMED_ANOTHER = "found wrong later", "the NC program has named"
 """What the reason says of what was measured with a sensor that was wrong."""
 WITHIN_S = 15.0
 """The state must be right so soon after the first good input [s]."""
@@ -46,6 +46,8 @@ class Truth:
     measured_unsurely: bool = False
     """A sensor has been wrong in this campaign, or the work positioned while the estimate was not followed: what was
     measured before may be off."""
+    tool_unnamed: bool = False
+    """The NC program gave up naming the tool that came, while the daemon could not answer."""
     frozen_in_cut: bool = False
     """The work is being cut, and confidence is less than what the estimate was weighed with before the cut."""
 
@@ -84,6 +86,7 @@ def ready(truth: Truth, claims: Claims, least_confidence: float) -> bool:
         and not (claims.doubtful and truth.model_has_states)
         and not (claims.harmful and truth.sensor_was_wrong)
         and not (FOUND_LATER in claims.reason and truth.measured_unsurely)
+        and not (NAMED_ANOTHER in claims.reason and truth.tool_unnamed)
         and not truth.frozen_in_cut
     )
 

@@ -110,6 +110,7 @@ class TruthKeeper:
             reference_blind=self._blind or self._tool_blind,
             sensor_was_wrong=self._sensor_wrong_s >= self._reference_s,
             measured_unsurely=self._sensor_wrong_s > 0.0 or self._doubted,
+            tool_unnamed=self._operations.tool_unnamed,
             frozen_in_cut=self._frozen,
             model_has_states=any(map(self._models.is_watching, (claims.model, self._models.model_id))),
         )
