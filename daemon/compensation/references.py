@@ -108,6 +108,7 @@ class References:
     def on_sample(self, polled: CncSample, asked_s: float) -> None:
         """Take one poll of the CNC, for which it was asked at `asked_s` [s]."""
         self._step(reference.on_sample(self.memory, polled, self._rules, asked_s=asked_s, new_id=new_id()))
+        self.memory = reference.by_calendar(self.memory)
         assert self.sample is not None
         if any(asked.positioning for asked in self.memory.requests):
             self._end_what_was_left("the work was positioned again before the output had begun")

@@ -47,6 +47,8 @@ LONGEST_STAND_S = 60.0
 """When this computer stood still for longer while the CNC went on, no reference holds, whatever the CNC proves [s]."""
 LONGEST_STAND_DWELLS = 4.0
 """But on a clock that runs ahead not before so many dwells: there a moment of the wall clock is long."""
+CALENDAR_SET_S = 2.0
+"""The calendar was set where it differs by more from the monotonic clock than at the reference [s]."""
 LABEL_AWAY_S = 25.0
 """A label without a value for so long has been away: it has one with every cycle [s]."""
 TOOL_UNKNOWN_S = 60.0
@@ -230,6 +232,19 @@ def positioned_by_handshake(memory: ReferenceMemory, rules: ReferenceRules) -> S
     return replace(memory, positioning_seen=False), (Announcement(kind="notice", text=text),) if unseen else ()
 
 
+def by_calendar(memory: ReferenceMemory) -> ReferenceMemory:
+    """Return the memory with the reference's time by the calendar of now, by which a restart tells how old it is."""
+    record, sample = memory.record, memory.sample
+    if record is None or sample is None:
+        return memory
+    then, now = record.reference.time, sample.time
+    utc_s = now.utc_s - (now.monotonic_s - then.monotonic_s)
+    if abs(utc_s - then.utc_s) <= CALENDAR_SET_S:
+        return memory
+    reference = replace(record.reference, time=replace(then, utc_s=utc_s))
+    return replace(memory, record=replace(record, reference=reference))
+
+
 def end_of_reference(reference: Reference, sample: CncSample) -> str:
     """Return why a reference no longer holds by what it is bound to, '' while it does."""
     if sample.power_on_count != reference.power_on_count:
@@ -309,7 +324,8 @@ def tool_begins(
         label: increment - _fading_k(record, label, shown_s.get(label, now_s))
         for label, increment in tool.begin_degc.items()
     }
-    tool = replace(tool, begin_degc=MappingProxyType(begin_degc))
+    unheard = tuple(label for label in begin_degc if now_s - shown_s.get(label, -math.inf) > LABEL_AWAY_S)
+    tool = replace(tool, begin_degc=MappingProxyType(begin_degc), unheard=unheard)
     return replace(memory, tool_began_s=now_s, record=replace(record, tool=tool if ours else None))
 
 
@@ -367,9 +383,11 @@ def tool_set_right(
             known = min(began_s - at_s, abs(now_s - began_s)) <= TOOL_UNKNOWN_S
             share = min((began_s - at_s) / (now_s - at_s), 1.0)
             begin_degc[label] += (increment - then) * share if known else math.nan
-    if begin_degc == record.tool.begin_degc:
+    unheard = tuple(label for label in record.tool.unheard if label not in now_degc)
+    if begin_degc == record.tool.begin_degc and unheard == record.tool.unheard:
         return memory
-    return replace(memory, record=replace(record, tool=replace(record.tool, begin_degc=MappingProxyType(begin_degc))))
+    tool = replace(record.tool, begin_degc=MappingProxyType(begin_degc), unheard=unheard)
+    return replace(memory, record=replace(record, tool=tool))
 
 
 def with_sensors(

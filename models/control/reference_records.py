@@ -91,6 +91,8 @@ class ToolOrigin:
     number: int
     begin_degc: Mapping[str, float]
     """Mean increment of each label when the tool came into the spindle [K]."""
+    unheard: tuple[str, ...] = ()
+    """Labels that had been silent when it came and have not spoken since: only this run knows what to begin at."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

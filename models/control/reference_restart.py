@@ -74,6 +74,9 @@ def restart(
     record, sample = left.record, memory.sample
     if record is None or sample is None or memory.record is not None:
         return replace(memory, ended=memory.ended or left.ended), ()
+    if record.tool is not None and record.tool.unheard:
+        begin_degc = {**record.tool.begin_degc, **dict.fromkeys(record.tool.unheard, np.nan)}
+        record = replace(record, tool=replace(record.tool, begin_degc=MappingProxyType(begin_degc)))
     source, tools = record.reference.source, _tools_left(record, axes)
     effects: tuple[Effect, ...] = ()
     if left.state is ReferenceState.VALID:

@@ -135,6 +135,23 @@ async def test_a_reference_counts_with_the_sensors_factors_and_axes_of_its_run_a
         assert not any(isinstance(message, ReferenceTakenUp) for message in rig.asked)
 
 
+async def test_a_reference_is_as_old_as_it_is_after_a_restart_though_the_calendar_was_set_before(bench):
+    """By the calendar of then it would be three hours older: what drifts, and the lags at it, would be wrong."""
+    async with running(bench.rig()) as rig:
+        await rig.active(handshake=True)
+        await rig.follow(0.0, -10.0, 20)
+        set_s = rig.control.reference.time.monotonic_s
+        bench.clock.calendar_s += 10800.0
+        await rig.follow(0.0, -10.0, 20)
+        assert rig.state == "ACTIVE" and rig.control.reference.time.monotonic_s == set_s
+        rig.alive()
+    bench.clock.monotonic_s += 5.0
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        assert isinstance(rig.asked[0], ReferenceTakenUp)
+        assert rig.asked[0].reference.time.monotonic_s == pytest.approx(set_s, abs=0.1)
+
+
 async def test_a_reference_without_its_baseline_is_not_taken_up(bench):
     await leave(bench)
     async with running(bench.rig()) as rig:

@@ -74,6 +74,33 @@ async def test_a_tool_that_came_while_the_daemon_was_away_counts_right_though_a_
         assert rig.applied["z"] == pytest.approx(4.0, abs=0.11), "of the nose alone: tool 7 came at its temperature"
 
 
+@pytest.mark.parametrize("heard", [False, True])
+async def test_a_tool_that_came_while_the_daemon_was_away_is_unknown_when_it_ends_before_any_estimate(tmp_path, heard):
+    """What the tool begins at is told by the first estimate after it came; the next run cannot tell it any more."""
+    bench = expanding_bench(tmp_path)
+    async with running(bench.rig()) as rig:
+        await warmed(rig)
+    bench.clock.monotonic_s += 20.0
+    bench.nc.tool_number = 7
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        if heard:
+            await let_pass(rig, 5.0, 5.0)
+        rig.alive()
+    bench.clock.monotonic_s += 5.0
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        await let_pass(rig, 60.0, 5.0)
+        if heard:
+            assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(4.0, abs=0.11)
+            return
+        assert rig.state == "HOLD" and "no estimate for axis z" in rig.control.memory.reason
+        assert rig.applied["z"] == pytest.approx(14.0, abs=0.11)
+        bench.nc.tool_number = 8
+        await let_pass(rig, 60.0, 5.0)
+        assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(4.0, abs=0.11)
+
+
 @pytest.mark.parametrize(("silent_s", "known"), [(0.0, True), (30.0, True), (120.0, False)])
 async def test_a_tool_that_comes_before_the_first_estimate_after_a_restart(tmp_path, silent_s, known):
     bench = expanding_bench(tmp_path)
