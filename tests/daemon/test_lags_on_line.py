@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import structlog
 from control_rig import SENSOR_IDS, Bench, HandClock, machine, running
+from thermal_rig import model as increments
 
 from daemon.estimation.task import ThermalTask
 from daemon.history.layout import MachineLayout
@@ -493,26 +494,24 @@ async def test_the_past_is_read_again_when_a_calendar_that_was_wrong_at_the_star
         await shop.end()
 
 
-async def test_a_model_that_is_released_after_the_calendar_was_set_reads_the_past_by_the_calendar_of_then(
-    tmp_path, model
-):
-    """Nobody asked for the calendar while no model was in use; what was read of the past was three hours old."""
-    shop = Shop(tmp_path, None)
+async def test_a_model_that_waits_reads_the_past_again_when_the_calendar_is_set(tmp_path, model):
+    """The one in use has no lags, and nothing of its past to read again."""
+    shop = Shop(tmp_path, increments())
+    await shop.prepare()
+    await shop.run(60)
     await shop.end()
-    shop.clock.calendar_s -= 10800.0
+    shop.clock.monotonic_s += 600.0
+    shop.minute += 10.0
+    shop.clock.calendar_s -= 24000.0
     shop.begin()
     await shop.prepare()
     await shop.run(3)
-    shop.clock.calendar_s += 10800.0
-    shop.clock.monotonic_s += 86400.0
-    await shop.run(60)
-    await shop.history.flushed()
-    await shop.task.use_model(model)
-    known = shop.task._online._online.filled
-    now_s = shop.clock.now().monotonic_s
-    read = np.array([row[0] for _, row, _ in shop.task._past.means(now_s - 3600.0, now_s, 60.0)])
-    assert np.isfinite(read).sum() >= 58
-    assert known > 0.0
-    await shop.run(2)
-    assert shop.task._online._online.filled == pytest.approx(known, abs=0.02)
+    await shop.refer()
+    with structlog.testing.capture_logs() as logs:
+        await shop.task.use_model(model)
+        shop.clock.calendar_s += 24000.0
+        await shop.run(2)
+    assert shop.latest.model_id == model.model_id
+    read = [entry["known_h"] for entry in logs if entry["event"] == "states.rebuilt"]
+    assert read[0] < 0.1 and read[-1] > 0.9
     await shop.end()
