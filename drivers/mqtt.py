@@ -5,32 +5,23 @@ import json
 import logging
 import math
 import ssl
-from collections import deque
-from collections.abc import Iterable, Mapping
-from itertools import pairwise
+from collections.abc import Mapping
 from typing import Any
 
 import aiomqtt
 
 from config.schema.source_drivers import SourceEntry
 from config.schema.source_sections import MqttBroker, MqttTopic
-from config.schema.sources import SourceSensorConfig
 from drivers.clock import Clock
 from drivers.contract import FatalDriverError, LinkError
 from drivers.json_fields import number_of, readings_in
 from drivers.pushing import MOST_WAITING, PushedSource
-from drivers.readings import NoReading, judged
+from drivers.readings import NoReading
 from models.quality import Reason
 
 LARGEST_BYTES = 1 << 16
 """A longer message is not read."""
 QUOTED = 80
-LATEST = 12
-"""So many messages of a sensor are looked at for another device that publishes under its topic."""
-MOST_TURNS, FEW_TURNS = 3, 1
-"""More of them go there and back again: they are no one sensor's until few do. A wrong one is left to cleansing."""
-TURN_K = 1.1
-"""There and back is more than this [K], and more than a step of a sensor that counts in whole degrees."""
 
 logging.getLogger("mqtt").setLevel(logging.CRITICAL + 1)  # what matters is raised here
 
@@ -49,9 +40,6 @@ class MqttSource(PushedSource):
         self._topics: dict[str, list[MqttTopic]] = {}
         for each in self._config.every_input:
             self._topics.setdefault(each.topic, []).append(each)
-        self._sensors = {each.key: each for each in self._config.every_input if isinstance(each, SourceSensorConfig)}
-        self._latest: dict[int | str, deque[float]] = {key: deque(maxlen=LATEST) for key in self._sensors}
-        self._contradicted: set[int | str] = set()
         self._retained = 0
 
     async def follow(self) -> None:
@@ -109,23 +97,7 @@ class MqttSource(PushedSource):
             return
         here = self._topics.get(str(message.topic), [])
         for key, reading in numbers_in(message.payload, {each.key: each.field for each in here}).items():
-            self.put(key, self._of_one_device(key, reading))
-
-    def _of_one_device(self, key: int | str, reading: float | NoReading) -> float | NoReading:
-        """Return a reading, or why it is none: it goes back and forth with those before it, as no temperature does."""
-        if key not in self._sensors or isinstance(degc := judged(self._sensors[key], reading), NoReading):
-            return reading
-        latest = self._latest[key]
-        latest.append(degc)
-        if turns(latest) <= (FEW_TURNS if key in self._contradicted else MOST_TURNS):
-            self._contradicted.discard(key)
-            return reading
-        self._contradicted.add(key)
-        why = (
-            f"goes back and forth between {min(latest):.1f} and {max(latest):.1f} degC from message to message: end "
-            "the other device that publishes under its topic, or correct `topic`"
-        )
-        return NoReading(reason=Reason.DUPLICATE_ID, why=why)
+            self.put(key, reading)
 
     def silent(self) -> str:
         """Return what to check when no message comes."""
@@ -134,12 +106,6 @@ class MqttSource(PushedSource):
             f"broker {self._config.host}:{self._config.port} has passed on no message for three cycle periods "
             f"({self._source.cycle_period_s:g} s each){retained}: check that the devices publish, and `topic`"
         )
-
-
-def turns(degc: Iterable[float]) -> int:
-    """Return how often successive temperatures [degC] change by more than `TURN_K` and then back by more."""
-    changes = [after - before for before, after in pairwise(degc) if abs(after - before) > TURN_K]
-    return sum(there * back < 0 for there, back in pairwise(changes))
 
 
 def numbers_in(payload: Any, fields: Mapping[int | str, str]) -> dict[int | str, float | NoReading]:

@@ -35,7 +35,8 @@ class PolledSource(RowSource):
             due_s = self._clock.now().monotonic_s
             while not self._closed.is_set():
                 first = self._clock.now()
-                readings = await self.read()
+                found = await self.read()
+                readings = {key: self._maker.of_one_device(key, reading) for key, reading in found.items()}
                 last = self._clock.now()
                 if self._closed.is_set():
                     return

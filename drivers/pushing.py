@@ -62,7 +62,8 @@ class PushedSource(RowSource):
             return
         self._row_s = measured.monotonic_s
         self._dropped += len(self._rows) == MOST_WAITING
-        self._rows.append((readings, measured))
+        told = {key: self._maker.of_one_device(key, reading) for key, reading in readings.items()}
+        self._rows.append((told, measured))
 
     def put(self, key: int | str, reading: float | NoReading) -> None:
         """Take one sensor's number; those of one cycle period make a cycle, the newest of each sensor.
@@ -76,7 +77,7 @@ class PushedSource(RowSource):
             silent = now.monotonic_s - self._newest_s > going_on_s
             self._single_from_s = max(now.monotonic_s + silent * apart_s, self._row_s + apart_s)
         self._newest_s = now.monotonic_s
-        self._single[key] = reading
+        self._single[key] = self._maker.of_one_device(key, reading)
         self.heard()
 
     def heard(self) -> None:

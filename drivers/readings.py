@@ -2,19 +2,27 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import AsyncGenerator, Mapping
+from collections import deque
+from collections.abc import AsyncGenerator, Iterable, Mapping
 from contextlib import aclosing
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from config.schema.source_drivers import SourceEntry
-from config.schema.sources import Measured
+from config.schema.sources import Measured, SourceSensorConfig
 from models.quality import Quality, Reason
 from models.records import CodeArray, FloatArray, TemperatureCycle, Trace
 
 NAMED_FAULTS = 8
 """A row names so many inputs that have no value before it counts the rest."""
+LATEST = 12
+"""So many readings of a sensor are looked at for another device that answers or publishes in its place."""
+MOST_TURNS, FEW_TURNS = 3, 1
+"""More of them go there and back again: they are no one sensor's until few do. A wrong one is left to cleansing."""
+TURN_K = 1.1
+"""There and back is more than this [K], and more than a step of a sensor that counts in whole degrees."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,6 +92,27 @@ class RowMaker:
         self._source = source
         self._inputs = source.inputs
         self._number = 0
+        self._sensors = {each.key: each for each in self._inputs if isinstance(each, SourceSensorConfig)}
+        self._latest: dict[int | str, deque[float]] = {key: deque(maxlen=LATEST) for key in self._sensors}
+        self._contradicted: set[int | str] = set()
+
+    def of_one_device(self, key: int | str, reading: float | NoReading) -> float | NoReading:
+        """Return a reading, or why it is none: it goes back and forth with those before it, as no temperature does."""
+        if key not in self._sensors or isinstance(degc := judged(self._sensors[key], reading), NoReading):
+            return reading
+        latest = self._latest[key]
+        latest.append(degc)
+        lowest, highest = min(latest), max(latest)
+        most = FEW_TURNS if key in self._contradicted else MOST_TURNS
+        if highest - lowest <= TURN_K or turns(latest) <= most:
+            self._contradicted.discard(key)
+            return reading
+        self._contradicted.add(key)
+        why = (
+            f"goes back and forth between {lowest:.1f} and {highest:.1f} degC: end what else answers or publishes "
+            "in its place (a box with the same `unit_id`, a device with the same `topic`), or mend its wires"
+        )
+        return NoReading(reason=Reason.DUPLICATE_ID, why=why)
 
     def row(self, readings: Readings, trace: Trace, problems: tuple[str, ...] = ()) -> Row:
         """Return the next row; what is no plausible value is NaN, with the reason. `problems` come first."""
@@ -102,6 +131,12 @@ class RowMaker:
         if more > 0:
             faults[NAMED_FAULTS:] = [f"source {self._source.name}: {more} more have no value"]
         return Row(number=self._number, values=values, reason=reason, faults=(*problems, *faults), trace=trace)
+
+
+def turns(degc: Iterable[float]) -> int:
+    """Return how often successive temperatures [degC] change by more than `TURN_K` and then back by more."""
+    changes = [after - before for before, after in pairwise(degc) if abs(after - before) > TURN_K]
+    return sum(there * back < 0 for there, back in pairwise(changes))
 
 
 def judged(measured: Measured, reading: float | NoReading) -> float | NoReading:

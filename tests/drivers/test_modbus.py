@@ -1,6 +1,7 @@
 """Modbus: how registers are grouped and read, and that no answer ever lands on another register."""
 
 import asyncio
+import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,8 +14,11 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from config.schema.modbus import ModbusConfig, ModbusSensorConfig, grouped, told_apart
+from config.schema.source_drivers import SourceConfig
+from drivers.clock import SystemClock
 from drivers.contract import LinkError
 from drivers.modbus.registers import number_of
+from drivers.modbus.source import ModbusSource
 from drivers.sim.wires.modbus_box import ModbusPtyBox, ModbusTcpBox, Send, answer_to, crc16, registers_of, rtu_answer
 from models.quality import Reason
 
@@ -193,6 +197,35 @@ async def test_a_dead_box_costs_its_own_sensors_only_and_a_refusal_is_put_in_wor
     assert "it has no such register: check `address`, `table` and `gap` (code 2)" in text
     assert "source bad: 5 more" in text or "unit 2" in text
     assert not cycle.complete
+
+
+@pytest.mark.wires
+async def test_two_boxes_with_one_unit_id_are_no_sensor() -> None:
+    """Through one gateway now the one answers and now the other, one of them 7.5 K colder."""
+    answered = 0
+
+    def either(_unit: int, _table: str, _start: int, count: int) -> Sequence[int]:
+        nonlocal answered
+        answered += 1
+        return [200 if answered % 2 else 275] * count
+
+    box = ModbusTcpBox(either)
+    await box.start()
+    entry = {
+        "name": "bad",
+        "driver": "modbus",
+        "cycle_period_s": 0.02,
+        "modbus": {"host": "127.0.0.1", "port": box.port, "sensors": [sensor(type="int16", scale=0.1)]},
+    }
+    source = ModbusSource(SourceConfig.model_validate_json(json.dumps(entry)), SystemClock())
+    async with asyncio.timeout(PATIENCE_S):
+        async for cycle in source.cycles():
+            if cycle.number == 12:
+                break
+    await source.close()
+    await box.stop()
+    assert list(cycle.reason) == [Reason.DUPLICATE_ID]
+    assert "goes back and forth between 20.0 and 27.5 degC" in cycle.faults[0] and "same `unit_id`" in cycle.faults[0]
 
 
 @pytest.mark.wires

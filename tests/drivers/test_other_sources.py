@@ -445,7 +445,7 @@ def test_two_devices_that_publish_under_one_topic_are_no_sensor_until_one_of_the
     wrong = [row for row in rows if abs(row.values[0] - 20.0) < 1.0][-1]
     assert rows.index(wrong) < 40 and warming[rows.index(wrong) // 2] < 22.6
     assert [row.reason[0] for row in rows[40:]] == [Reason.DUPLICATE_ID] * 200
-    assert "goes back and forth between 20.0 and 27.6 degC" in rows[-1].faults[0]
+    assert "goes back and forth between 20.0 and 27.6 degC: end what else" in rows[-1].faults[0]
     after = [topic(warming[-1]) for _ in range(12)]
     assert after[-1].values.tolist() == [round(warming[-1], 3)] and not after[-1].faults
 
