@@ -76,6 +76,8 @@ class SensorLevels:
     """Time [s], index of a sensor, and by how much it counts at another level since [K], oldest first."""
     gaps: Gaps = ()
     """Times within which what sensors were read as says nothing, oldest first."""
+    away_s: Mapping[int, float] = field(default_factory=lambda: MappingProxyType({}))
+    """By index of each sensor that came back at a level which is doubted: since when it had been away [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -148,7 +150,10 @@ def renewed_levels(levels: SensorLevels, group: GroupArray, seen: BelievedValues
     levels = _with_leaving(levels, seen)
     judged = believed & (seen.returned | (seen.jump_k != 0.0))
     if judged.any():
+        before = levels
         levels, degc = _judged(levels, group, seen, judged, degc)
+        if (by_k := jumped_k(before, levels)) is not None:  # a jump is no trend
+            levels = replace(levels, recent=tuple((at_s, then + by_k) for at_s, then in levels.recent))
     if levels.left:
         here = set(seen.indices[believed].tolist())
         if not here.isdisjoint(levels.left):
@@ -222,6 +227,18 @@ def jumped_k(before: SensorLevels, now: SensorLevels) -> FloatArray | None:
     return jump_k
 
 
+def undone(before: SensorLevels, now: SensorLevels) -> list[int]:
+    """Return the indices of sensors that are themselves again, and were not since they had last come back.
+
+    Parameters
+    ----------
+    before, now
+        Levels before and after a cycle.
+
+    """
+    return [] if now.gaps is before.gaps else [i for *_, of in set(now.gaps).difference(before.gaps) for i in of]
+
+
 def _with_leaving(levels: SensorLevels, seen: BelievedValues) -> SensorLevels:
     """Keep for those that are too old from now on all temperatures of when their value last counted."""
     leaving = np.flatnonzero(seen.stale & np.isfinite(levels.degc))
@@ -252,7 +269,7 @@ def _judged(
     levels: SensorLevels, group: GroupArray, seen: BelievedValues, judged: BoolArray, degc: FloatArray
 ) -> tuple[SensorLevels, FloatArray]:
     shift_k, uncertainty_k, changes = levels.shift_k.copy(), levels.uncertainty_k.copy(), list(levels.changes)
-    jumps = list(levels.jumps)
+    jumps, gaps, away_s = list(levels.jumps), levels.gaps, dict(levels.away_s)
     counted = degc.copy()
     beside_degc = np.where(levels.uncertainty_k == 0.0, degc, np.nan)
     beside_degc[[*levels.left, *seen.indices[judged].tolist()]] = np.nan
@@ -265,12 +282,12 @@ def _judged(
             off_k, spread_k, near_k = _departure(index, then, group, others_degc, degc[index], seen.now_s)
         elif seen.returned[place]:
             continue
-        before_k = shift_k[index]
+        before_k, wrong_k = shift_k[index], levels.lasting_k[index] + uncertainty_k[index] + off_k
         if abs(off_k) <= near_k:
             continue
         if before_k != 0.0 and abs(before_k + off_k) <= near_k:
             shift_k[index], uncertainty_k[index] = 0.0, 0.0
-        elif not seen.returned[place] and abs(uncertainty_k[index] + off_k) <= near_k:
+        elif before_k == 0.0 != uncertainty_k[index] and abs(uncertainty_k[index] + off_k) <= near_k:
             uncertainty_k[index] = 0.0
         elif not (seen.returned[place] and seen.new_level[place]):
             uncertainty_k[index] += off_k
@@ -280,10 +297,14 @@ def _judged(
         if shift_k[index] != before_k:
             changes.append((seen.now_s, index, float(before_k)))
             counted[index] = seen.degc[place] - shift_k[index]
-        elif not seen.returned[place]:
+        elif abs(wrong_k) <= near_k and index in away_s:
+            gaps = (*gaps, (away_s.pop(index), seen.now_s, (index,)))[-GAPS_KEPT:]
+        elif abs(wrong_k) <= near_k or not seen.returned[place]:
             jumps.append((seen.now_s, index, off_k))
+        else:
+            away_s.setdefault(index, levels.left[index].at_s)
     found = replace(levels, shift_k=shift_k, uncertainty_k=uncertainty_k, changes=tuple(changes[-CHANGES_KEPT:]))
-    return replace(found, jumps=tuple(jumps[-CHANGES_KEPT:])), counted
+    return replace(found, jumps=tuple(jumps[-CHANGES_KEPT:]), gaps=gaps, away_s=MappingProxyType(away_s)), counted
 
 
 def _expected_degc(then: Left, now_s: float) -> FloatArray:

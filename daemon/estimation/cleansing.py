@@ -22,6 +22,7 @@ from models.sensor_levels import (
     jumped_k,
     renewed_levels,
     trusted_anew,
+    undone,
     with_gap,
     with_past,
 )
@@ -70,7 +71,8 @@ class Cleansing:
         self.jumped_k: FloatArray | None = None
         """By how much sensors have jumped with the latest cycle [K], None where none has."""
         self.gap_ended = False
-        """With the latest cycle an input goes on that had stood: what was read of it meanwhile is no past."""
+        """With the latest cycle an input goes on that had stood, or a sensor is itself again that had come back wrong:
+        what was read of it meanwhile is no past."""
         self._measured = np.full(len(position), np.nan)
         self._quality = np.full(len(position), Quality.MISSING, dtype=np.uint8)
         self._reason = np.full(len(position), Reason.NOT_RECEIVED, dtype=np.uint8)
@@ -242,9 +244,11 @@ class Cleansing:
         )
         were, self.levels = self.levels, renewed_levels(self.levels, self._group, seen)
         self.jumped_k = jumped_k(were, self.levels)
-        if self.jumped_k is not None:
-            self._mean.leave_out(self.jumped_k != 0.0)
+        themselves = np.isin(np.arange(len(degc)), again := undone(were, self.levels))
+        if self.jumped_k is not None or again:
+            self._mean.leave_out(themselves if self.jumped_k is None else themselves | (self.jumped_k != 0.0))
         self._goes_on(cycle.line, were, result.quality, now_s)
+        self.gap_ended |= bool(again)
         self._mean.add(now_s, degc - self.levels.shift_k)
         self.latest = MachineTemperatures(
             line=cycle.line,

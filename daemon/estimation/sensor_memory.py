@@ -261,6 +261,7 @@ class LevelMemory:
             levels.lasting_k is before.lasting_k,
             levels.shift_k is before.shift_k,
             levels.gaps is before.gaps,
+            dict(levels.away_s) == dict(before.away_s),
         )
         if not all(same):
             self._store.put(self._document(levels))
@@ -308,6 +309,7 @@ class LevelMemory:
                 (g.from_utc_s - since_s, g.to_utc_s - since_s, tuple(place[i] for i in g.sensor_ids if i in place))
                 for g in kept.gaps
             ),
+            away_s=MappingProxyType({place[i]: at - since_s for i, at in kept.away_utc_s.items() if i in place}),
             jumps=tuple((j.utc_s - since_s, place[j.sensor_id], j.jump_k) for j in kept.jumps if j.sensor_id in place),
         )
 
@@ -325,6 +327,7 @@ class LevelMemory:
             shift_k=self._by_id(levels.shift_k),
             uncertainty_k=self._by_id(levels.uncertainty_k),
             lasting_k=self._by_id(levels.lasting_k),
+            away_utc_s={self._sensor_ids[index]: at_s + since_s for index, at_s in levels.away_s.items()},
             left=tuple(
                 SensorsLeft(
                     away=tuple(away),

@@ -102,6 +102,7 @@ class SensorLevelsDocument:
     jumps: tuple[LevelJump, ...] = ()
     gaps: tuple[LevelGap, ...] = ()
     lasting_k: Mapping[int, float] = field(default_factory=dict[int, float])
+    away_utc_s: Mapping[int, float] = field(default_factory=dict[int, float])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

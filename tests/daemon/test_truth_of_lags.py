@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import structlog
-from bad_input import _place, _said
+from bad_input import _place, _said, _without
 from twin_loop import Disturbance, Frames, Place, TwinLoop
 from whole_loop import lagged_model
 
@@ -40,6 +40,28 @@ def other_level(sensor: int, begin: int, end: float, codes: int = 192) -> Distur
     def disturb(loop: TwinLoop, moment: int, line: str, frames: Frames, _rng: np.random.Generator) -> Frames:
         lies = _place(sensor)[0] == line and begin <= moment < end
         return _said(loop, frames, sensor, codes) if lies else frames
+
+    return disturb
+
+
+def comes_back_wrong(sensor: int, away: range, end: float, codes: int) -> Disturbance:
+    """A node is silent, and says another temperature from its return to a moment."""
+
+    def disturb(loop: TwinLoop, moment: int, line: str, frames: Frames, _rng: np.random.Generator) -> Frames:
+        if _place(sensor)[0] != line or not away.start <= moment < end:
+            return frames
+        return _without(loop, frames, sensor) if moment in away else _said(loop, frames, sensor, codes)
+
+    return disturb
+
+
+def wrong_until_it_leaves(sensor: int, wrong: range, back: int, codes: int) -> Disturbance:
+    """A node says another temperature, is silent, and comes back as it is."""
+
+    def disturb(loop: TwinLoop, moment: int, line: str, frames: Frames, _rng: np.random.Generator) -> Frames:
+        if _place(sensor)[0] != line or not wrong.start <= moment < back:
+            return frames
+        return _said(loop, frames, sensor, codes) if moment in wrong else _without(loop, frames, sensor)
 
     return disturb
 
@@ -125,6 +147,31 @@ def test_nor_does_it_over_a_restart(tmp_path: Path) -> None:
     assert states[45] is OutputState.HOLD
     assert states[-1] is OutputState.ACTIVE
     assert np.abs(off_um[75:] - off_um[75]).max() <= WITHIN_UM
+
+
+def test_what_a_sensor_said_after_it_had_come_back_wrong_leaves_nothing_behind(tmp_path: Path) -> None:
+    disturbance = comes_back_wrong(0, range(5, 25), 60, 56)
+    off_um, states = run(tmp_path, disturbance, PLACE, 90, ahead_of_lags())
+    assert states[50] is OutputState.HOLD
+    followed = np.array([state is OutputState.ACTIVE for state in states])
+    assert followed[65:].all() and np.abs(off_um[65:]).max() <= 0.5
+
+
+def test_nor_does_it_over_a_restart_while_it_is_wrong(tmp_path: Path) -> None:
+    disturbance = comes_back_wrong(0, range(5, 25), 50, 56)
+    off_um, states = run(tmp_path, disturbance, PLACE, 130, ahead_of_lags(), pauses=(40,), positionings=(68,))
+    assert states[-1] is OutputState.ACTIVE
+    assert np.abs(off_um[80:] - off_um[80]).max() <= 0.5
+
+
+@pytest.mark.parametrize("codes", [48, 192])
+def test_a_sensor_that_jumped_left_and_comes_back_as_it_was_is_followed_again_and_leaves_nothing_behind(
+    tmp_path: Path, codes: int
+) -> None:
+    disturbance = wrong_until_it_leaves(0, range(5, 25), 40, codes)
+    off_um, states = run(tmp_path, disturbance, PLACE, 110, ahead_of_lags(), positionings=(60,))
+    assert states[38] is OutputState.HOLD and states[52] is OutputState.ACTIVE
+    assert np.abs(off_um[70:] - off_um[70]).max() <= 0.5
 
 
 def test_a_sensor_that_stays_at_another_level_moves_nothing_after_the_work_is_positioned(tmp_path: Path) -> None:
