@@ -204,7 +204,8 @@ class ThermalTask:
         elif isinstance(item, ReferenceRequest):
             self._set_reference(item)
         elif isinstance(item, ReferenceTakenUp):
-            await self._take_up(item)
+            if self._reference is None or self._reference.reference_id != item.reference.reference_id:  # it was left
+                await self._take_up(item)
         elif isinstance(item, TemperaturesTrusted):
             self._cleansing.trust_temperatures()
         else:
@@ -252,8 +253,7 @@ class ThermalTask:
             for each in filter(None, (self._online, self._next)):
                 each.jumped(jumped_k)
         models = [each for each in (self._online, self._next) if each is not None]
-        read_wrong = self._past.calendar_set(max((each.memory_s for each in models), default=0.0))
-        if self._cleansing.gap_ended or read_wrong:
+        if self._past.calendar_set(max((each.memory_s for each in models), default=0.0)) or self._cleansing.gap_ended:
             for place, each in enumerate(models):
                 await self.use_model(each.model, at_once=place == 0)
         self._levels.keep(self._cleansing.levels, self._cleansing.units.found)

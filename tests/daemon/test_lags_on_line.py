@@ -515,3 +515,25 @@ async def test_a_model_that_waits_reads_the_past_again_when_the_calendar_is_set(
     read = [entry["known_h"] for entry in logs if entry["event"] == "states.rebuilt"]
     assert read[0] < 0.1 and read[-1] > 0.9
     await shop.end()
+
+
+async def test_a_reference_that_was_never_left_is_not_made_anew_from_the_history(tmp_path, model):
+    """By hand another one was asked for and refused: with the states of now at it, what had warmed since was lost."""
+    shops = []
+    for name in ("twin", "refused"):
+        (tmp_path / name).mkdir()
+        shop = Shop(tmp_path / name, model)
+        await shop.prepare()
+        await shop.run(330)
+        reference = await shop.refer()
+        shop.sensors = next(item for item in reversed(shop.delivered) if isinstance(item, SensorsSinceReference))
+        await shop.run(1)
+        if name == "refused":
+            await shop.task._take(shop.taken_up(reference))
+        await shop.run(10)
+        shops.append(shop)
+    twin, loop = (shop.latest for shop in shops)
+    assert loop.confidence > 0.9
+    np.testing.assert_allclose(loop.thermal_error_um, twin.thermal_error_um, atol=0.05)
+    for shop in shops:
+        await shop.end()

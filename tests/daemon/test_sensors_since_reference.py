@@ -165,6 +165,7 @@ async def test_a_sensor_that_was_found_wrong_holds_when_the_tool_s_temperature_h
     await task.minutes(2)
     task.task._tool_um_per_k = np.where(np.array(SENSOR_IDS) == 1, 0.5, 0.0)
     found = replace(task.sensors, excluded={1: "departure"})
+    task.task._reference = None  # as after a restart
     await task.task._take(ReferenceTakenUp(reference=task.references[-1], sensors=found))
     await task.minutes(2)
     assert "tool" not in task.estimates[-1].inhibit, "it has made nothing of it yet"
