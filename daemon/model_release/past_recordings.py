@@ -97,11 +97,13 @@ def recordings_from_history(
     sensor_ids = configuration.temperatures.sensor_ids
     pieces = list(minutes_of_history(configuration, reader, channels, um_per_unit, from_utc_s, to_utc_s))
     axes = tuple(configuration.cnc.axis_positions) if positions else ()
-    found = [run for run in _runs(pieces, sensor_ids, tuple(channels), axes) if run.rows >= LEAST_MIN]
+    runs = list(_runs(pieces, sensor_ids, tuple(channels), axes))
+    found = [run for run in runs if run.rows >= LEAST_MIN]
     if not found:
+        longest = max((run.rows for run in runs), default=0)
         raise DatasetError(
-            f"the history has no {LEAST_MIN} minutes in a row with displacements of {', '.join(channels)}; "
-            f"leave the sensors in place for longer{_why_unknown(configuration, channels)}"
+            f"the history has no {LEAST_MIN} minutes in a row with displacements of {', '.join(channels)}, "
+            f"{longest} at most; leave the sensors in place for longer{_why_unknown(configuration, channels)}"
         )
     return found
 

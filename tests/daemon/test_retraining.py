@@ -265,7 +265,7 @@ def test_channels_of_any_name_are_exported_with_the_map_that_trains_on_them(tmp_
     ("output", "begin", "sentence"),
     [
         ("run.parquet", "-100d", "a recording is a CSV file"),
-        ("run.csv", "2001-01-01", "has no 120 minutes in a row with displacements of Y1, Z1"),
+        ("run.csv", "2001-01-01", "has no 120 minutes in a row with displacements of Y1, Z1, 0 at most; leave the"),
     ],
 )
 def test_a_recording_that_cannot_be_exported_is_refused(
