@@ -2,7 +2,7 @@
 
 import json
 import zlib
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar
 
 import structlog
@@ -21,7 +21,7 @@ from daemon.state_store.documents import (
 )
 from daemon.state_store.from_0_1_0 import from_0_1_0
 from drivers.clock import Clock
-from models.control.reference_records import ReferenceDocument
+from models.control.reference_records import ReferenceDocument, ReferenceState
 
 log = structlog.get_logger(__name__)
 
@@ -87,19 +87,29 @@ class StateStore:
 
         One that cannot be read is none, but denies what it could have denied.
         """
-        found = self._history.get_state(KEYS[kind])
         try:
-            if _version_of(found) is None:
-                read: Document | None = from_0_1_0(kind, self._history.get_state, self._clock.now())
-                return read
-            if _version_of(found) != FORMAT_VERSION:
-                raise DocumentError(f"{VERSION_KEY} {_version_of(found)} is unknown")
-            _refuse_changed(found)
-            document: Document = from_json(kind, found, self._clock.now())
+            document = self._read(kind)
         except DocumentError as error:
             log.error("state.unreadable", key=KEYS[kind], problem=str(error))
             denying: Document | None = _denying(kind, str(error))
             return denying
+        if isinstance(document, ReferenceDocument):
+            try:
+                self._read(SensorLevelsDocument)
+            except DocumentError as error:  # without doubts and levels the temperatures of the reference say nothing
+                why = f"what the sensors' levels count as cannot be read from the store ({error})"
+                return replace(document, state=ReferenceState.NONE, record=None, ended=why)
+        return document
+
+    def _read(self, kind: type[Document]) -> Document | None:
+        found = self._history.get_state(KEYS[kind])
+        if _version_of(found) is None:
+            read: Document | None = from_0_1_0(kind, self._history.get_state, self._clock.now())
+            return read
+        if _version_of(found) != FORMAT_VERSION:
+            raise DocumentError(f"{VERSION_KEY} {_version_of(found)} is unknown")
+        _refuse_changed(found)
+        document: Document = from_json(kind, found, self._clock.now())
         return document
 
 

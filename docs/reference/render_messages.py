@@ -91,6 +91,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "daemon/history/tidying.py",
         "daemon/history/writer.py",
         "daemon/history/store_lock.py",
+        "daemon/state_store/store.py",
         "daemon/housekeeping",
     ),
 }
@@ -102,7 +103,8 @@ def messages(path: Path) -> list[str]:
     tree = ast.parse(path.read_text(encoding="utf-8"))
     unsaid = {id(part) for node in ast.walk(tree) for part in _unsaid(node)}
     said = [(node.lineno, text) for node in ast.walk(tree) if id(node) not in unsaid and (text := _template(node))]
-    return list(dict.fromkeys(text for _, text in sorted(said) if len(text.split()) >= FEWEST_WORDS))
+    sentences = [text for _, text in sorted(said) if any(letter.isalpha() for letter in text)]
+    return list(dict.fromkeys(text for text in sentences if len(text.split()) >= FEWEST_WORDS))
 
 
 def _unsaid(node: ast.AST) -> Iterator[ast.AST]:

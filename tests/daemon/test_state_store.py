@@ -18,6 +18,7 @@ from daemon.state_store.documents import (
     DaemonAlive,
     OperationSpeed,
     OutputFault,
+    SensorLevelsDocument,
     SpindleSpeeds,
     SpindleSpeedSwitch,
     WantedAxes,
@@ -252,6 +253,18 @@ def test_a_flipped_bit_in_a_kept_number_is_no_reference(history, store):
     fault = json.loads(json.dumps(document_json(OutputFault(reasons=("a",)))).replace('"a"', '"c"'))
     history.put_state(KEYS[OutputFault], fault)
     assert "checksum" in store.get(OutputFault).reasons[0]
+
+
+def test_without_the_levels_of_sensors_no_reference_counts(history, store):
+    store.put(reference_of_0_1_0(history, store))
+    store.put(SensorLevelsDocument(sensor_ids=(4,), shift_k={4: 0.25}, uncertainty_k={}, left=(), changes=()))
+    assert store.get(ReferenceDocument).record is not None
+    kept = history.get_state(KEYS[SensorLevelsDocument])
+    kept["shift_k"] = {"4": 0.5}
+    history.put_state(KEYS[SensorLevelsDocument], kept)
+    left = store.get(ReferenceDocument)
+    assert (left.state, left.record) == (ReferenceState.NONE, None)
+    assert "levels" in left.ended and "checksum" in left.ended
 
 
 def test_a_document_without_a_checksum_is_one_of_a_version_before(history, store):
