@@ -147,14 +147,15 @@ def _counts_with(configuration: Configuration, um_per_unit: Mapping[str, float])
         for each in temperatures.inputs
     ]
     sensors = json.dumps([temperatures.sensor_ids, read])
-    axes = configuration.compensation.axes
-    terms = [(name, axis.tool_term) for name, axis in axes.items() if axis.tool_term is not None]
-    tools = {name: [term.model_dump(), [*map(temperatures.labels.get, term.temperatures)]] for name, term in terms}
-    return {
+    marks = {
         "the list of sensors or what one of them reads": hashlib.sha256(sensors.encode()).hexdigest(),
         "the commissioned movement per macro value": json.dumps(dict(um_per_unit)),
-        "what an axis follows, or its tool term": json.dumps([{n: axis.estimate for n, axis in axes.items()}, tools]),
     }
+    for name, axis in configuration.compensation.axes.items():
+        term = axis.tool_term
+        of_tool = () if term is None else (term.model_dump(), [*map(temperatures.labels.get, term.temperatures)])
+        marks[f"what axis {name} follows, or its tool term"] = json.dumps([axis.estimate, of_tool])
+    return marks
 
 
 def positioning_macros(configuration: Configuration) -> tuple[int, ...]:

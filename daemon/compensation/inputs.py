@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from daemon.compensation.tool import ToolInSpindle
 from models.control.axis_map import AxisSource, nose_errors_um, probe_wander, tool_terms_um
 from models.control.inhibit import Inhibit
 from models.control.reference import tool_begin_degc
@@ -30,7 +31,7 @@ class OutputView:
     fault: str | None
     inhibits: tuple[Inhibit, ...]
     request: OperatorRequest
-    tool_number: int
+    tool: ToolInSpindle
     tool_setting: tuple[bool, ...] | None
     probe_um: FloatArray | None
 
@@ -49,7 +50,7 @@ def output_inputs(view: OutputView) -> OutputInputs:
         thermal_error_um=nose_errors_um(view.sources, estimate)
         if estimate is not None
         else np.full(len(view.sources), np.nan),
-        tool_term_um=tool_term_um(view.sources, estimate, view.reference, view.tool_number)
+        tool_term_um=tool_term_um(view.sources, estimate, view.reference, view.tool.number)
         if estimate is not None
         else None,
         estimate_age_s=view.now_s - estimate.trace.first_byte.monotonic_s if estimate is not None else np.inf,
@@ -68,7 +69,8 @@ def output_inputs(view: OutputView) -> OutputInputs:
         inhibits=view.inhibits,
         request=view.request,
         zero_first=view.zero_first,
-        tool_number=view.tool_number,
+        tool_number=view.tool.number,
+        tools_in_question=view.tool.in_question,
         tool_setting=view.tool_setting,
         probe_um=view.probe_um,
         probe_wander=probe_wander(view.sources, estimate),

@@ -290,7 +290,7 @@ class ControlTask:
                 fault=self.journal.fault,
                 inhibits=self._inhibits(request.enable),
                 request=request,
-                tool_number=self._measured.tool.number,
+                tool=self._measured.tool,
                 tool_setting=self._measured.tool_setting,
                 probe_um=self._measured.probe_um,
             )

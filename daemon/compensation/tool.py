@@ -74,10 +74,17 @@ class ToolInSpindle:
     def _program(self) -> int:
         return 0 if self._references.sample is None else self._references.sample.program
 
-    def inhibit(self) -> Inhibit | None:
-        """Return why it is not known which tool is in the spindle: a control may show the one that is prepared."""
+    @property
+    def in_question(self) -> tuple[int, ...]:
+        """The tools of which one is in the spindle, where it is not known which: a control may show the next one."""
         named = self._named
-        if named is None or self._polled in (named[1], self.number) or not self._references.tools_differ:
+        if named is None or self._polled is None or self._polled in (named[1], self.number):
+            return ()
+        return self._polled, self.number
+
+    def inhibit(self) -> Inhibit | None:
+        """Return why it is not known which tool is in the spindle."""
+        if not self.in_question or not self._references.tools_differ:
             return None
         return Inhibit(
             code=InhibitCode.REFERENCE,

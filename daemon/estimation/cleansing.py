@@ -227,7 +227,7 @@ class Cleansing:
         returned = result.returned & self._after_silence(indices, usable, now_s)
         good = result.quality == GOOD
         self.units.counted(indices[good], result.degc[good])
-        far = good & (np.abs(result.degc - before_degc) > self._rules.max_change_degc)
+        far = good & (np.abs(result.degc - before_degc) >= self._rules.max_change_degc)
         far &= ~result.straight
         jumped = (result.new_level | (far & heard)) & ~returned & np.isfinite(before_degc)
         self._jumped_at_s[indices[far]] = now_s

@@ -437,12 +437,18 @@ def _probed(memory: OutputMemory, now_s: float) -> BiasState:
 def _tools_since(
     memory: OutputMemory, inputs: OutputInputs, stale_after_s: float
 ) -> MappingProxyType[int, ToolBaseline]:
-    """Return the tool settings counted from a new reference; the tool in the spindle is set anew by it."""
+    """Return the tool settings counted from a new reference; the tool in the spindle is set anew by it.
+
+    Where it is not known which is there, those that may be are in doubt.
+    """
     if memory.error_um is None or inputs.now_s - memory.error_s > stale_after_s:
         return MappingProxyType({})
     kept = {number: carried_over(memory, number, tool) for number, tool in memory.tools.items()}
     tools = dict(_counted_from(kept, memory.error_um, memory.offset_um))
-    if (here := tools.get(inputs.tool_number)) is not None:
+    for number in inputs.tools_in_question:
+        if (unsure := tools.get(number)) is not None:
+            tools[number] = replace(unsure, found_wrong_um=np.full_like(memory.command_um, -UNKNOWN_UM))
+    if not inputs.tools_in_question and (here := tools.get(inputs.tool_number)) is not None:
         nothing = np.zeros_like(memory.command_um)
         baseline = np.where(np.isfinite(here.baseline_um), inputs.applied_um, np.nan)
         tools[inputs.tool_number] = ToolBaseline(baseline_um=baseline, error_um=nothing, offset_um=nothing)

@@ -81,7 +81,7 @@ def restart(
     effects: tuple[Effect, ...] = ()
     if left.state is ReferenceState.VALID:
         why = end_of_reference(record.reference, sample) or _not_resumed(left, record, sample, rules, request_counter)
-        if not (why := why or _counts_otherwise(left, rules) or _not_counted(record, axes, model_id)):
+        if not (why := why or _not_counted(record, axes, model_id) or _counts_otherwise(left, rules)):
             memory = moved(replace(memory, record=record, ended=""), in_force=True)
             taken_up = ReferenceTakenUp(reference=record.reference, sensors=record.sensors)
             return memory, (taken_up, Announcement(kind="reference", text=f"taken up again: {source}"))

@@ -117,6 +117,8 @@ class OutputInputs:
     zero_first: bool = False
     """The offset is to be taken out before the next work positioning."""
     tool_number: int = 0
+    tools_in_question: tuple[int, ...] = ()
+    """The tools of which one is in the spindle, where it is not known which."""
     tool_setting: tuple[bool, ...] | None = None
     """Axes that were set with the tool in the spindle since the last step."""
     probe_um: FloatArray | None = None

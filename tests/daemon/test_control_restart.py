@@ -101,8 +101,8 @@ async def test_an_estimate_right_after_the_restart_does_not_count_twice(bench):
     [
         ({"temperatures": "exchanged"}, "the list of sensors or what one of them reads changed"),
         ({"record": -1}, "the commissioned movement per macro value changed"),
-        ({"z": {"estimate": "Y1"}}, "what an axis follows, or its tool term changed"),
-        ({"z": {"tool_term": TERM}}, "what an axis follows, or its tool term changed"),
+        ({"z": {"estimate": "Y1"}}, "what axis z follows, or its tool term changed"),
+        ({"z": {"tool_term": TERM}}, "what axis z follows, or its tool term changed"),
     ],
 )
 async def test_a_reference_counts_with_the_sensors_factors_and_axes_of_its_run_alone(bench, changes, words):

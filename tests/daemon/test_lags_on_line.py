@@ -430,6 +430,7 @@ async def test_the_history_of_an_old_reference_is_not_read_in_the_loop(tmp_path,
         return past(*span)
 
     shop.task._online._history = noted
+    shop.task._reference = None  # as after a restart
     await shop.task._take(shop.taken_up(reference))
     assert readers and threading.get_ident() not in readers
     await shop.end()

@@ -70,6 +70,16 @@ def test_a_first_value_counts_after_three_that_agree() -> None:
     assert [math.isfinite(of_box(fed(10.0 * i, 20.0, 20.0))[0]) for i in range(4)] == [False, False, True, True]
 
 
+@pytest.mark.parametrize(("step_k", "jumped"), [(0.9, False), (1.0, True)])
+def test_a_change_as_large_as_the_largest_is_a_jump(step_k: float, jumped: bool) -> None:
+    """A stuck bit of 1 K lies exactly there, and a sensor comes back from it by as much."""
+    fed = Fed()
+    for i in range(6):
+        fed(10.0 * i, 20.0, 20.0)
+    found = [fed._cleansing.jumped_k for i in range(6, 12) if fed(10.0 * i, 20.0 + step_k, 20.0)]
+    assert any(each is not None for each in found) == jumped
+
+
 @pytest.mark.parametrize("wrong", [33.0, 21.5, -15.0, 99.0])
 def test_one_wrong_reading_after_a_silence_moves_nothing(wrong: float) -> None:
     fed = Fed()

@@ -2,7 +2,7 @@
 
 import pytest
 from control_rig import running
-from nc_requests import TOOL_CHANGE, answer, ask, requesting_bench, tool_2_set
+from nc_requests import REFERENCE, TOOL_CHANGE, answer, ask, requesting_bench, tool_2_set
 
 from daemon.messages import ReferenceEnded, ReferenceTakenUp
 
@@ -129,3 +129,27 @@ async def test_where_no_tool_is_set_and_none_expands_its_number_holds_nothing(be
         bench.nc.tool_number = 2
         await rig.follow(0.0, -3.0, 10)
         assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(3.0, abs=0.11)
+
+
+async def test_while_it_is_not_known_which_tool_is_there_none_is_set_and_a_reference_leaves_both_in_doubt(bench):
+    """The program gave up naming T1, as while the link was away: the control alone shows it."""
+    async with running(bench.rig()) as rig:
+        await tool_2_set(rig, bench)
+        bench.nc.tool_number = 2
+        await take_tool_2(rig, bench, 4, -12.0)
+        bench.nc.tool_number = 1
+        await rig.follow(0.0, -12.0, 5)
+        assert rig.state == "HOLD" and "shows T1, and the NC program has named T2" in rig.control.memory.reason
+        ask(bench, 5, REFERENCE, 3, 0.0)
+        await rig.follow(0.0, -12.0, 5)
+        assert answer(bench) == -5.0
+        rig.set_reference("r2")
+        await rig.follow(0.0, 0.0, 5)
+        bench.nc.tool_number = 2
+        ask(bench, 6, TOOL_CHANGE, 0, 2.0)
+        await rig.follow(0.0, 0.0, 40)
+        assert rig.state == "HOLD" and "T2 was set" in rig.control.memory.reason
+        assert "any number of um off" in rig.control.memory.reason
+        ask(bench, 7, REFERENCE, 3, 0.0)
+        await rig.follow(0.0, 0.0, 10)
+        assert answer(bench) == 7.0 and rig.state == "ACTIVE"
