@@ -50,6 +50,7 @@ class Cleansing:
         }
         self.units = UnitWatch(temperatures, {name: places for name, (places, _) in self._lines.items()})
         self._sensor_ids = temperatures.sensor_ids
+        self._step_k = np.array([temperatures.steps_k[each] for each in self._sensor_ids])
         self._period_s = np.zeros(len(position))
         for indices, period_s in self._lines.values():
             self._period_s[indices] = period_s
@@ -227,8 +228,12 @@ class Cleansing:
         returned = result.returned & self._after_silence(indices, usable, now_s)
         good = result.quality == GOOD
         self.units.counted(indices[good], result.degc[good])
-        far = good & (np.abs(result.degc - before_degc) >= self._rules.max_change_degc)
-        far &= ~result.straight
+        change_degc = np.abs(result.degc - before_degc)
+        far = good & (change_degc >= self._rules.max_change_degc) & ~result.straight
+        if far.any():  # one step of a sensor that counts in so large ones is none
+            whole = result.degc == np.round(result.degc)
+            step_k = np.where(self._step_k[indices] > 0.0, self._step_k[indices], whole)
+            far &= change_degc > step_k * (1.0 + 1e-6)
         jumped = (result.new_level | (far & heard)) & ~returned & np.isfinite(before_degc)
         self._jumped_at_s[indices[far]] = now_s
         self._silent[indices[good]] = False

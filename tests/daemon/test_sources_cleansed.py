@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,11 +24,12 @@ from models.records import Instant, MachineTemperatures, Trace
 from models.sensor_levels import first_levels
 
 BOX = {"id": 9, "component": "Spindle unit", "label": "Nose", "address": 0, "open": [-999]}
+TENTHS = {"type": "float32", "resolution": 0.1}
 
 
-def machine() -> Configuration:
+def machine(**how: Any) -> Configuration:
     content = yaml.safe_load(sample_configuration())
-    modbus = {"host": "box", "sensors": [BOX, {**BOX, "id": 10, "address": 1}]}
+    modbus = {"host": "box", "sensors": [{**BOX, **how}, {**BOX, "id": 10, "address": 2, **how}]}
     content["temperatures"]["sources"] = [{"name": "box", "driver": "modbus", "modbus": modbus}]
     return parse_yaml_model(yaml.safe_dump(content), Configuration, "f.yaml")
 
@@ -35,8 +37,8 @@ def machine() -> Configuration:
 class Fed:
     """What becomes of the box's readings, the line being silent."""
 
-    def __init__(self) -> None:
-        configuration = machine()
+    def __init__(self, **how: Any) -> None:
+        configuration = machine(**how)
         (source,) = configuration.temperatures.sources or ()
         self._maker = RowMaker(source)
         self._cleansing = Cleansing(configuration, SystemClock())
@@ -70,13 +72,27 @@ def test_a_first_value_counts_after_three_that_agree() -> None:
     assert [math.isfinite(of_box(fed(10.0 * i, 20.0, 20.0))[0]) for i in range(4)] == [False, False, True, True]
 
 
-@pytest.mark.parametrize(("step_k", "jumped"), [(0.9, False), (1.0, True)])
-def test_a_change_as_large_as_the_largest_is_a_jump(step_k: float, jumped: bool) -> None:
-    """A stuck bit of 1 K lies exactly there, and a sensor comes back from it by as much."""
-    fed = Fed()
+@pytest.mark.parametrize(
+    ("how", "from_degc", "step_k", "jumped"),
+    [
+        (TENTHS, 20.0, 0.9, False),
+        (TENTHS, 20.0, 1.0, True),
+        ({"type": "float32"}, 20.3, 1.0, True),
+        ({}, 20.0, 1.0, False),
+        ({"type": "float32"}, 20.0, 1.0, False),
+        ({"resolution": 0.5, "type": "float32"}, 20.0, 1.0, True),
+        ({"resolution": 1.0, "type": "float32", "unit": "K", "offset": 273.15}, 20.0, 1.0, False),
+    ],
+    ids=["less", "stuck bit", "stuck bit, step unknown", "register of whole degrees", "whole degrees", "two steps", "K"],
+)
+def test_a_change_as_large_as_the_largest_is_a_jump_but_not_of_a_sensor_that_counts_in_such_steps(
+    how: dict[str, Any], from_degc: float, step_k: float, jumped: bool
+) -> None:
+    """A stuck bit of 1 K lies exactly there, and a sensor comes back from it by as much; whole degrees warm by it."""
+    fed = Fed(**how)
     for i in range(6):
-        fed(10.0 * i, 20.0, 20.0)
-    found = [fed._cleansing.jumped_k for i in range(6, 12) if fed(10.0 * i, 20.0 + step_k, 20.0)]
+        fed(10.0 * i, from_degc, 20.0)
+    found = [fed._cleansing.jumped_k for i in range(6, 12) if fed(10.0 * i, from_degc + step_k, 20.0)]
     assert any(each is not None for each in found) == jumped
 
 
