@@ -83,7 +83,7 @@ def test_a_first_value_counts_after_three_that_agree() -> None:
         ({"resolution": 0.5, "type": "float32"}, 20.0, 1.0, True),
         ({"resolution": 1.0, "type": "float32", "unit": "K", "offset": 273.15}, 20.0, 1.0, False),
     ],
-    ids=["less", "stuck bit", "stuck bit, step unknown", "register of whole degrees", "whole degrees", "two steps", "K"],
+    ids=["less", "stuck bit", "stuck bit, unknown step", "whole register", "whole degrees", "two steps", "K"],
 )
 def test_a_change_as_large_as_the_largest_is_a_jump_but_not_of_a_sensor_that_counts_in_such_steps(
     how: dict[str, Any], from_degc: float, step_k: float, jumped: bool
