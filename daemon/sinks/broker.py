@@ -30,12 +30,12 @@ from daemon.sinks.broker_refusals import (
 from daemon.sinks.contract import SinkError
 
 PING_PERIOD_S = 20
-LARGEST_MESSAGE = 1 << 16
+LARGEST_MESSAGE = 1 << 20
 """The broker is told to leave out what is larger [bytes]: nothing but commands and births comes here."""
 AT_ONCE = 500
 """Messages that wait for their acknowledgement together."""
-IF_NEW = 1
-"""Retained messages come when a subscription is made, not when it is renewed."""
+ALWAYS, IF_NEW = 0, 1
+"""Retained messages come when a subscription is made; whether they come again when it is renewed."""
 NOBODY, NOT_AUTHORISED, WITH_WILL = 16, 135, 4
 """Reason codes: taken and passed on to nobody; not allowed; a farewell after which the will is published too."""
 
@@ -132,11 +132,11 @@ class Broker:
 
         self._client.on_message = take
 
-    def subscribe(self, topic: str) -> None:
+    def subscribe(self, topic: str, retained: int = IF_NEW) -> None:
         """Subscribe, and wait for the acknowledgement: the broker has then what was sent before, too."""
         with self._changed:
             self._granted = None
-        self._client.subscribe(topic, options=SubscribeOptions(qos=1, retainHandling=IF_NEW))
+        self._client.subscribe(topic, options=SubscribeOptions(qos=1, retainHandling=retained))
         with self._changed:
             if not self._changed.wait_for(lambda: self._granted is not None or self._lost, self._config.timeout_s):
                 raise SinkError(f"{self._where}: {no_acknowledgement(self._config)}")

@@ -6,12 +6,17 @@ import ssl
 from config.schema.sinks import BrokerConfig
 
 REFUSED = {
+    130: "if that comes each time, a message is larger than the broker takes (mosquitto: message_size_limit): raise it",
     132: "it does not speak MQTT 5: upgrade it, or give another `host`",
     134: "check `user_name` and `password_file`",
     135: "check `user_name` and `password_file`, and that the broker lets this user in and publish here",
     137: "the broker is busy or full: it is tried again",
     138: "the broker keeps `user_name` or this computer out: let it in there",
     142: "another client took the place of this one: `machine` and the sink's `name` together must be given only once",
+    149: "a message is larger than the broker takes (mosquitto: max_packet_size): raise it there",
+    151: "its quota is used up: raise it there",
+    154: "it must keep retained messages (mosquitto: retain_available): let it",
+    155: "it must take quality of service 1 (mosquitto: max_qos): let it",
 }
 """Reason codes of MQTT 5 -> what to do."""
 UNSPECIFIED = 128
@@ -64,7 +69,10 @@ def may_not_subscribe(topic: str, name: str) -> str:
 
 def birth_unheard(topic: str) -> str:
     """Return that what was published did not come back: the specification has no acknowledgement for it."""
-    return f"{topic} did not come back: let `user_name` publish and subscribe there (the broker's access list)"
+    return (
+        f"{topic} did not come back: let `user_name` publish and subscribe there (the broker's access list), and look "
+        "whether the broker drops large messages (mosquitto: message_size_limit)"
+    )
 
 
 def primary_host_offline(topic: str) -> str:

@@ -4,11 +4,12 @@
     spBv1.0/GROUP/DBIRTH/MACHINE/DEVICE, DDATA, DDEATH
 
 The specification has data without acknowledgement (quality of service 0). So after every batch the subscription to the
-commands is renewed: its acknowledgement comes after all that was sent before. That the node may publish at all shows in
-its birth, which comes back to it. A batch counts as taken when the
-connection has lasted a while longer. Rows older than what was told at birth are historical.
+commands is renewed: its acknowledgement comes after all that was sent before. That the broker passes on what the node
+publishes, however large, shows in the births, which come back to it: the device's holds every metric. A batch counts as
+taken when the connection has lasted a while longer. Rows older than what was told at birth are historical.
 """
 
+import functools
 import itertools
 import json
 import threading
@@ -23,7 +24,7 @@ import structlog
 from config.schema.sinks import SinkConfig
 from daemon.history.cursors import Cursor, Position
 from daemon.sinks.ahead import Ahead
-from daemon.sinks.broker import AT_ONCE, Broker, Message
+from daemon.sinks.broker import ALWAYS, AT_ONCE, Broker, Message
 from daemon.sinks.broker_refusals import birth_unheard, primary_host_offline, primary_host_went
 from daemon.sinks.contract import Progress, SinkWaitsError
 from daemon.sinks.current import Freshness
@@ -39,6 +40,8 @@ NUMBERS = 256
 """Messages of a session are numbered 0 to 255 over and over, and so are sessions."""
 TOLD_AT_BIRTH = 20
 """So many of the newest rows of each stream make the values of a birth: every line is among them."""
+MOST_UNHEARD = 20
+"""So many births that have not come back are kept."""
 _sessions: defaultdict[str, Iterator[int]] = defaultdict(itertools.count)
 
 
@@ -48,6 +51,10 @@ class PrimaryHost:
     def __init__(self, name: str) -> None:
         self.topic = f"{NAMESPACE}/STATE/{name}"
         self.online = False
+        self._newest_ms = -1
+
+    def forget(self) -> None:
+        """Take the next message whatever its time: the clock of a host may have been set back."""
         self._newest_ms = -1
 
     def hear(self, content: bytes) -> None:
@@ -76,8 +83,10 @@ class SparkplugSink:
         self._lock = threading.RLock()
         """Held while messages are numbered and handed over: a rebirth is answered by the library's thread."""
         self._seq = itertools.count()
-        self._born = self._alive = self._heard = False
-        """Whether the node and its device were born, and the node's birth came back from the broker."""
+        self._born = self._alive = False
+        """Whether the node and its device were born."""
+        self._unheard: dict[str, tuple[int, ...]] = {self._topic.format("NBIRTH"): (), self._of_device("DBIRTH"): ()}
+        """Topic of births -> hashes of those that have not come back from the broker, the newest last."""
         self._told: dict[str, Metric] = {}
         """The newest metrics, of which births are made."""
         self._born_ms: dict[str, int] = {}
@@ -90,7 +99,8 @@ class SparkplugSink:
         self._broker.connect(Message(topic=self._topic.format("NDEATH"), payload=self._death()))
         self._broker.subscribe(self._commands)
         self._broker.subscribe(f"{self._topic.format('DCMD')}/{self._device}")
-        self._broker.subscribe(self._topic.format("NBIRTH"))
+        for topic in self._unheard:
+            self._broker.subscribe(topic)
         if self._host is not None:
             self._broker.subscribe(self._host.topic)
         return cursor.positions
@@ -104,11 +114,13 @@ class SparkplugSink:
         self._broker.check()
         self._ahead.settle(progress)
         if self._host is not None and not self._host.online:
+            self._host.forget()
+            self._broker.subscribe(self._host.topic, ALWAYS)
             raise SinkWaitsError(f"{self._where}: {primary_host_offline(self._host.topic)}")
         if not self._born:
             self._learn(outbox)
             self._bear()
-            self._broker.wait_for(lambda: self._heard, birth_unheard(self._topic.format("NBIRTH")))
+            self._wait_for_births()
         more = False
         for stream in STREAMS.values():
             batch = outbox.batch(stream, self._ahead.position(progress, stream.name))
@@ -158,6 +170,16 @@ class SparkplugSink:
             self._publish(self._of_device("DBIRTH"), self._told.values())
             self._alive = True
 
+    def _wait_for_births(self) -> None:
+        """Wait until the newest births have come back: a broker drops what it does not pass on without a word."""
+        for topic, waiting in self._unheard.items():
+            if waiting:
+                heard = functools.partial(self._came_back, topic, waiting[-1])
+                self._broker.wait_for(heard, birth_unheard(topic))
+
+    def _came_back(self, topic: str, birth: int) -> bool:
+        return birth not in self._unheard[topic]
+
     def _die(self) -> None:
         """Say that nothing is recorded any more."""
         with self._lock:
@@ -180,6 +202,7 @@ class SparkplugSink:
                 self._send_row(batch, row)
             self._broker.subscribe(self._commands)
             self._broker.check()
+            self._wait_for_births()
 
     def _send_row(self, batch: Batch, row: tuple[object, ...]) -> None:
         metrics = row_metrics(batch.stream, row)
@@ -200,6 +223,8 @@ class SparkplugSink:
 
     def _publish(self, topic: str, metrics: Iterable[Metric]) -> None:
         payload = encode(metrics, utc_ms=_now_ms(), seq=next(self._seq) % NUMBERS)
+        if topic in self._unheard:
+            self._unheard[topic] = (*self._unheard[topic][-MOST_UNHEARD:], hash(payload))
         self._broker.send(Message(topic=topic, payload=payload, qos=0))
 
     def _of_device(self, kind: str) -> str:
@@ -213,8 +238,11 @@ class SparkplugSink:
                 if self._born:
                     log.info("sparkplug.rebirth", topic=topic)
                     self._bear()
-        elif topic == self._topic.format("NBIRTH"):
-            self._heard = True
+        elif topic in self._unheard:
+            with self._lock:
+                waiting = self._unheard[topic]
+                if (birth := hash(content)) in waiting:
+                    self._unheard[topic] = waiting[waiting.index(birth) + 1 :]
         elif self._host is not None and topic == self._host.topic:
             self._host.hear(content)
             if self._born and not self._host.online:

@@ -364,6 +364,23 @@ def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
 
 
 @pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("max_packet_size 400", "a message is larger than the broker takes (mosquitto: max_packet_size)"),
+        ("message_size_limit 300", "a message is larger than the broker takes (mosquitto: message_size_limit)"),
+        ("retain_available false", "it must keep retained messages (mosquitto: retain_available)"),
+        ("max_qos 0", "it must take quality of service 1 (mosquitto: max_qos)"),
+    ],
+)
+def test_a_limit_of_the_broker_is_named(tmp_path: Path, setting: str, said: str) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.1)
+    with mosquitto(tmp_path, OPEN, setting) as port:
+        cursor = send(section(port), store)
+    assert said in cursor.problem and cursor.sent_rows == 0
+
+
+@pytest.mark.parametrize(
     ("changes", "said"),
     [
         ({"password": "wrong"}, "check `user_name` and `password_file`"),

@@ -1,6 +1,7 @@
 """Sparkplug B: payloads by the numbers of the specification, rows as metrics, and what a host may say."""
 
 import struct
+import subprocess
 import threading
 from pathlib import Path
 
@@ -8,10 +9,11 @@ import pytest
 from filled_store import fill
 from hypothesis import given
 from hypothesis import strategies as st
-from mosquitto import mosquitto
+from mosquitto import mosquitto, wait_until
 
 from config.schema.base import KeyProblems
 from config.schema.sinks import SinkConfig
+from daemon.history.cursors import Cursor, cursor_path
 from daemon.sinks.outbox import STREAMS, Outbox
 from daemon.sinks.running import SinkRunner, make_sink
 from daemon.sinks.sparkplug import PrimaryHost, SparkplugSink
@@ -219,19 +221,55 @@ def test_the_section_says_which_library_is_loaded() -> None:
     assert config.place == "127.0.0.1:1883/spBv1.0/Plant" and "NOT encrypted" in config.exposed
 
 
-def test_a_right_that_is_missing_is_named(tmp_path: Path) -> None:
+def problem(port: int, store: Path, group: str) -> str:
+    """Send all that waits, or say why not."""
+    stop = threading.Event()
+    config = section(port, group=group, timeout_s=5.0)
+    runner = SinkRunner(config, store, "mill", stop, wait=lambda _duration_s: stop.set())
+    runner.run()
+    return runner.cursor.problem
+
+
+def test_a_right_that_is_missing_is_named_whatever_is_retained_there(tmp_path: Path) -> None:
     store = tmp_path / "h.sqlite"
     fill(store, hours=0.2)
-    (tmp_path / "acl").write_text("topic readwrite spBv1.0/Plant/#\n")
+    rights = "topic readwrite spBv1.0/Plant/#\ntopic read spBv1.0/Else/#\nuser host\ntopic readwrite #\n"
+    (tmp_path / "acl").write_text(rights)
     (tmp_path / "acl").chmod(0o600)
-
-    def problem(group: str) -> str:
-        stop = threading.Event()
-        config = section(port, group=group, timeout_s=5.0)
-        runner = SinkRunner(config, store, "mill", stop, wait=lambda _duration_s: stop.set())
-        runner.run()
-        return runner.cursor.problem
-
     with mosquitto(tmp_path, "allow_anonymous true", f"acl_file {tmp_path / 'acl'}") as port:
-        assert problem("Plant") == ""
-        assert "spBv1.0/Else/NBIRTH/mill did not come back: let `user_name` publish" in problem("Else")
+        words = ["-h", "127.0.0.1", "-p", str(port), "-u", "host", "-r", "-m", "garbage"]
+        for topic in ("spBv1.0/Else/NBIRTH/mill", "spBv1.0/Plant/DBIRTH/mill/Machine", "spBv1.0/Plant/NCMD/mill"):
+            subprocess.run(["mosquitto_pub", *words, "-t", topic], check=True)
+        assert problem(port, store, "Plant") == ""
+        assert "spBv1.0/Else/NBIRTH/mill did not come back: let `user_name` publish" in problem(port, store, "Else")
+
+
+def test_a_broker_that_drops_a_large_birth_takes_no_rows(tmp_path: Path) -> None:
+    """It says nothing: what it drops would count as sent."""
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.2)
+    with mosquitto(tmp_path, "allow_anonymous true", "message_size_limit 300") as port:
+        said = problem(port, store, "Plant")
+    assert "spBv1.0/Plant/DBIRTH/mill/Machine did not come back" in said and "message_size_limit" in said
+    cursor = Cursor.read(cursor_path(store, "scada"))
+    assert cursor is not None and cursor.sent_rows == 0
+
+
+def test_a_primary_host_whose_clock_was_set_back_is_waited_for_no_longer_than_it_is_away(tmp_path: Path) -> None:
+    store, stop = tmp_path / "h.sqlite", threading.Event()
+    fill(store, hours=0.2)
+    with mosquitto(tmp_path, "allow_anonymous true") as port:
+        words = ["mosquitto_pub", "-h", "127.0.0.1", "-p", str(port), "-r", "-t", "spBv1.0/STATE/main", "-m"]
+        subprocess.run([*words, '{"online": false, "timestamp": 4000000000000}'], check=True)
+        config = section(port, primary_host="main")
+        runner = SinkRunner(config, store, "mill", stop, wait=lambda _duration_s: stop.wait(0.02))
+        thread = threading.Thread(target=runner.run)
+        thread.start()
+        try:
+            wait_until(lambda: "`primary_host` is not online" in runner.cursor.problem)
+            subprocess.run([*words, '{"online": true, "timestamp": 1790000000000}'], check=True)
+            wait_until(lambda: runner.cursor.sent_rows > 0)
+        finally:
+            stop.set()
+            thread.join()
+    assert runner.cursor.problem == ""
