@@ -77,7 +77,7 @@ class SensorLevels:
     gaps: Gaps = ()
     """Times within which what sensors were read as says nothing, oldest first."""
     away_s: Mapping[int, float] = field(default_factory=lambda: MappingProxyType({}))
-    """By index of each sensor that came back at a level which is doubted: since when it had been away [s]."""
+    """By index of each sensor that came back at a level which is doubted: since when it had been away, or wrong [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -123,6 +123,12 @@ def trusted_anew(levels: SensorLevels, wrong: BoolArray) -> SensorLevels:
     """
     lasting_k = np.where(wrong, UNKNOWN_K, levels.lasting_k + levels.uncertainty_k)
     return replace(levels, uncertainty_k=np.zeros_like(lasting_k), lasting_k=lasting_k)
+
+
+def trusted(levels: SensorLevels) -> SensorLevels:
+    """Return the levels when a person says that the temperatures are right as they are at the reference."""
+    away_s = {index: at_s for index, at_s in levels.away_s.items() if levels.uncertainty_k[index] != 0.0}
+    return replace(levels, lasting_k=np.zeros_like(levels.lasting_k), away_s=MappingProxyType(away_s))
 
 
 def doubted(levels: SensorLevels) -> BoolArray:
@@ -171,7 +177,7 @@ def unshifted(
 ) -> FloatArray:
     """Return temperatures of a time in the past [degC] without the shifts of then, at the levels of a later time.
 
-    What a sensor was read as within a gap is NaN, and so is a mean that holds two of its levels.
+    What a sensor was read as within a gap is NaN, and so is a mean that holds some of that, or two of its levels.
 
     Parameters
     ----------
@@ -197,7 +203,7 @@ def unshifted(
         shift_k = shift_k.copy()
         for jumped_s, index, jump_k in levels.jumps:
             shift_k[index] -= jump_k if time_s < jumped_s <= until_s else 0.0
-    inside = [index for from_s, to_s, sensors in levels.gaps for index in sensors if from_s < time_s <= to_s]
+    inside = [i for from_s, to_s, sensors in levels.gaps for i in sensors if from_s < time_s <= to_s + mean_s]
     inside += [index for at_s, index, _ in (*levels.changes, *levels.jumps) if 0.0 <= time_s - at_s < mean_s]
     if inside:
         shift_k = shift_k.copy()
@@ -298,13 +304,27 @@ def _judged(
             changes.append((seen.now_s, index, float(before_k)))
             counted[index] = seen.degc[place] - shift_k[index]
         elif abs(wrong_k) <= near_k and index in away_s:
-            gaps = (*gaps, (away_s.pop(index), seen.now_s, (index,)))[-GAPS_KEPT:]
+            from_s = away_s.pop(index)
+            gaps = (*gaps, (from_s, seen.now_s, (index,)))[-GAPS_KEPT:]
+            jumps = [each for each in jumps if each[1] != index or each[0] < from_s]
         elif abs(wrong_k) <= near_k or not seen.returned[place]:
             jumps.append((seen.now_s, index, off_k))
         else:
-            away_s.setdefault(index, levels.left[index].at_s)
+            away_s.setdefault(index, _wrong_since_s(jumps, index, wrong_k - off_k, levels.left[index].at_s))
     found = replace(levels, shift_k=shift_k, uncertainty_k=uncertainty_k, changes=tuple(changes[-CHANGES_KEPT:]))
     return replace(found, jumps=tuple(jumps[-CHANGES_KEPT:]), gaps=gaps, away_s=MappingProxyType(away_s)), counted
+
+
+def _wrong_since_s(jumps: list[tuple[float, int, float]], index: int, wrong_k: float, left_s: float) -> float:
+    """Return since when a sensor was wrong that left at a time [s], which is that time where it was right then.
+
+    `wrong_k`: by how much it was wrong then [K].
+    """
+    since_s = left_s
+    for at_s, of, by_k in reversed(jumps):
+        if abs(wrong_k) > OWN_K and of == index:
+            since_s, wrong_k = at_s, wrong_k - by_k
+    return since_s if abs(wrong_k) <= OWN_K else left_s
 
 
 def _expected_degc(then: Left, now_s: float) -> FloatArray:

@@ -21,6 +21,7 @@ from models.sensor_levels import (
     first_levels,
     jumped_k,
     renewed_levels,
+    trusted,
     trusted_anew,
     undone,
     with_gap,
@@ -194,7 +195,7 @@ class Cleansing:
 
     def trust_temperatures(self) -> None:
         """Take the temperatures as they are at the reference: a person says that they are right."""
-        self.levels = replace(self.levels, lasting_k=np.zeros_like(self.levels.lasting_k))
+        self.levels = trusted(self.levels)
 
     def on_cycle(self, cycle: TemperatureCycle) -> MachineTemperatures:
         """Take a cycle of one line; return the temperatures of the machine after it."""

@@ -66,6 +66,18 @@ def wrong_until_it_leaves(sensor: int, wrong: range, back: int, codes: int) -> D
     return disturb
 
 
+def says(sensor: int, *spans: tuple[range, int | None]) -> Disturbance:
+    """A node says so many codes more in some moments, and is silent in those with None."""
+
+    def disturb(loop: TwinLoop, moment: int, line: str, frames: Frames, _rng: np.random.Generator) -> Frames:
+        codes = next((codes for span, codes in spans if moment in span), 0)
+        if _place(sensor)[0] != line or codes == 0:
+            return frames
+        return _without(loop, frames, sensor) if codes is None else _said(loop, frames, sensor, codes)
+
+    return disturb
+
+
 def from_memory(begin: int, end: int) -> Disturbance:
     """A line answers with what it had at a moment."""
     kept: list[Frames] = []
@@ -155,6 +167,22 @@ def test_what_a_sensor_said_after_it_had_come_back_wrong_leaves_nothing_behind(t
     assert states[50] is OutputState.HOLD
     followed = np.array([state is OutputState.ACTIVE for state in states])
     assert followed[65:].all() and np.abs(off_um[65:]).max() <= 0.5
+
+
+@pytest.mark.parametrize(
+    "spans",
+    [
+        [(range(5, 25), None), (range(25, 42), 56), (range(42, 60), 136)],
+        [(range(5, 14), 80), (range(14, 30), None), (range(30, 46), 136)],
+    ],
+    ids=["jumps once more after it has come back", "had jumped before it left"],
+)
+def test_nor_does_it_where_a_jump_comes_to_it(tmp_path: Path, spans: list[tuple[range, int | None]]) -> None:
+    """The jump is no more to be told of the past before it left: what came between is left out."""
+    off_um, states = run(tmp_path, says(0, *spans), PLACE, 90, ahead_of_lags())
+    assert states[40] is OutputState.HOLD
+    followed = np.array([state is OutputState.ACTIVE for state in states])
+    assert followed[75:].all() and np.abs(off_um[75:]).max() <= 0.5
 
 
 def test_nor_does_it_over_a_restart_while_it_is_wrong(tmp_path: Path) -> None:
