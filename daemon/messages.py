@@ -64,6 +64,8 @@ class SpindleSpeed:
 class TemperaturesTrusted:
     """A person says that all temperatures are right as they are."""
 
+    person: str
+
 
 __all__ = [
     "EstimateComing",

@@ -208,6 +208,7 @@ class ThermalTask:
                 await self._take_up(item)
         elif isinstance(item, TemperaturesTrusted):
             self._cleansing.trust_temperatures()
+            log.info("temperatures.trusted", person=item.person)
         else:
             await self.use_model(item)
 
@@ -223,8 +224,7 @@ class ThermalTask:
 
     async def use_model(self, model: ThermalModel | None, *, at_once: bool = False) -> None:
         """Estimate with it from the next cycle on, continuously; `at_once`: the one in use, whose past has changed."""
-        online = self._in_use(model)
-        if online is not None:
+        if (online := self._in_use(model)) is not None:
             now_s = self._clock.now().monotonic_s
             await asyncio.to_thread(online.prepare, now_s)
             if self._reference is not None:

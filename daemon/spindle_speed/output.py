@@ -76,7 +76,7 @@ class SpindleSpeedOutput:
             return "there is no section spindle_speed in the configuration, so there is nothing to switch"
         self.follower.switch.turn(on=on, person=person)
         if on:
-            self._tell_thermal(TemperaturesTrusted())
+            self._tell_thermal(TemperaturesTrusted(person=person))
         return ""
 
     @property

@@ -103,7 +103,7 @@ async def test_nor_does_it_from_a_new_reference_on_until_a_person_trusts_it(sens
     sensors.thermal = sensors.thermal.restarted(model())
     await sensors.speak(60.0, SAFE, spindle=[32.5, 30.0, 30.0], column=30.0)
     assert "sensor 1 is at a level that is doubted" in sensors.bench.picture()["alarm"], "over a restart neither"
-    await sensors.thermal.task._take(TemperaturesTrusted())
+    await sensors.thermal.task._take(TemperaturesTrusted(person="a person"))
     await sensors.speak(60.0, SAFE, spindle=[32.5, 30.0, 30.0], column=30.0)
     assert sensors.bench.picture()["alarm"] == "" and sensors.bench.picture()["target_rpm"] != speed_rpm
 
@@ -137,7 +137,7 @@ async def test_a_sensor_that_the_watch_has_excluded_moves_no_speed(sensors: Sens
     await frozen(sensors, speed_rpm, "sensor 3 was found wrong")
     await sensors.positioned()
     await frozen(sensors, speed_rpm, "sensor 3 was found wrong", 30.0, 30.0)
-    await sensors.thermal.task._take(TemperaturesTrusted())
+    await sensors.thermal.task._take(TemperaturesTrusted(person="a person"))
     await sensors.speak(60.0, SAFE, spindle=32.0, column=32.0)
     assert sensors.bench.picture()["alarm"] == ""
 
@@ -211,4 +211,4 @@ async def test_who_switches_the_tuning_on_trusts_the_temperatures(sensors: Senso
     daemon = Daemon(sensors.bench.configuration, sensors.bench.clock)
     assert daemon._switch_spindle_speed(on=False, person="a person") == "" and daemon._inbox.empty()
     await daemon._commands.handle({"command": "enable", "spindle_speed": True}, "a person")
-    assert daemon._inbox.get_nowait() == TemperaturesTrusted()
+    assert daemon._inbox.get_nowait() == TemperaturesTrusted(person="a person")

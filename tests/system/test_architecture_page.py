@@ -72,7 +72,7 @@ def imported(node: ast.Import | ast.ImportFrom) -> list[str]:
     return [f"{node.module}.{alias.name}" for alias in node.names]
 
 
-def test_what_goes_back_to_the_thermal_task_are_four_frozen_messages() -> None:
+def test_what_goes_back_to_the_thermal_task_are_five_frozen_messages() -> None:
     upwards = set(get_args(Message)) - {ThermalModel, TemperatureCycle}
     told = {names(row[0])[0] for row in rows("## From sensor to CNC")}
     assert {each.__name__ for each in upwards} == told
