@@ -29,6 +29,13 @@ HINTS = {
 """What the server or the library says -> what to do, the first that fits."""
 
 
+ALTERED = (
+    *(errors.UndefinedTable, errors.UndefinedColumn, errors.DuplicateTable, errors.DatatypeMismatch),
+    *(errors.InvalidColumnReference, errors.InvalidTextRepresentation, errors.IntegrityError, errors.RaiseException),
+)
+"""What a database says whose tables are not as the schema made them."""
+
+
 def refusal(error: Exception, config: PostgresqlConfig) -> str:
     """Return what went wrong, and what to do."""
     text = " ".join(str(error).split()) or type(error).__name__
@@ -36,6 +43,8 @@ def refusal(error: Exception, config: PostgresqlConfig) -> str:
         return f"`user_name` {config.user_name} may not do this ({text}): let it create in `database`"
     if isinstance(error, errors.DiskFull):
         return f"its disk is full ({text}): free space on the server"
+    if isinstance(error, ALTERED):
+        return f"{error.diag.message_primary}: somebody has altered the tables in schema toolpoint: put them back"
     remedy = next((remedy for sign, remedy in HINTS.items() if sign in text.lower()), "it is tried again")
     return f"{text}: {remedy}"
 

@@ -20,13 +20,14 @@ import yaml
 from certificates import make_certificate
 from filled_store import add, fill
 from history_records import EPOCH_S, SMALL, StillClock
+from mosquitto import wait_until
 from postgresql import PASSWORD, PATIENCE_S, Server, postgresql
 
 from config.sample import sample_configuration
 from config.schema.service import HistoryConfig
 from config.schema.sinks import PostgresqlConfig, SinkConfig
 from daemon.history import HistoryReader, HistoryWriter, housekeeping
-from daemon.history.cursors import Cursor, cursor_path
+from daemon.history.cursors import Cursor, Position, cursor_path
 from daemon.sinks.contract import SinkError
 from daemon.sinks.database import PARTITIONED, Database, authorities, scripts
 from daemon.sinks.outbox import STREAMS
@@ -247,6 +248,29 @@ def test_wrong_clocks_are_stored_beside_the_months(server: Server, tmp_path: Pat
     assert server.ask("SELECT count(*) FROM toolpoint.cnc_2025_10") == [(12,)]
 
 
+def test_rows_of_a_month_whose_table_is_dropped_meanwhile_keep_no_other_back(server: Server, tmp_path: Path) -> None:
+    """As the manual has it to forget a month; the sink that is connected puts what follows beside the months."""
+    store, stop = tmp_path / "h.sqlite", threading.Event()
+    fill(store, hours=1.0)
+    config = section(server, tmp_path)
+    runner = SinkRunner(config, store, MACHINE, stop, wait=lambda _duration_s: stop.wait(0.02))
+    thread = threading.Thread(target=runner.run)
+    thread.start()
+    try:
+        wait_until(lambda: runner.cursor.positions.get("events", Position()).row == 12)
+        with server.connection() as connection:
+            connection.execute("DROP TABLE toolpoint.cnc_2025_10")
+        fill(store, start_s=EPOCH_S + 3600.0, hours=1.0)
+        wait_until(lambda: runner.cursor.positions.get("events", Position()).row == 24)
+    finally:
+        stop.set()
+        thread.join()
+    assert counts(server)["cnc"] == 12
+    fill(store, start_s=EPOCH_S + 7200.0, hours=1.0)
+    assert send(server, tmp_path, store).problem == ""
+    assert counts(server)["cnc"] == 24 and counts(server)["estimates"] == 36
+
+
 @pytest.mark.parametrize("fails", [False, True])
 def test_hypertables_take_the_place_of_partitions_where_the_database_makes_them(
     server: Server, tmp_path: Path, fails: bool
@@ -397,6 +421,50 @@ def test_a_newer_schema_is_refused_and_left_alone(server: Server, tmp_path: Path
     cursor = send(server, tmp_path, store)
     assert "version 99, this version of toolpoint knows up to 4" in cursor.problem
     assert counts(server) == before
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "ALTER TABLE toolpoint.cnc DROP COLUMN mode",
+        "ALTER TABLE toolpoint.cnc ALTER COLUMN mode TYPE integer USING 1",
+        "ALTER TABLE toolpoint.cnc DROP CONSTRAINT cnc_pkey",
+        "ALTER TABLE toolpoint.cnc ADD CONSTRAINT one UNIQUE (time, machine)",
+        "ALTER TABLE toolpoint.cnc ADD COLUMN site text, ADD CONSTRAINT known CHECK (site IS NOT NULL) NOT VALID",
+        "DROP TABLE toolpoint.cnc",
+        "DROP TABLE toolpoint.deliveries",
+        "DROP TABLE toolpoint.schema_versions",
+    ],
+)
+def test_a_table_that_somebody_altered_is_named_and_loses_no_row(server: Server, tmp_path: Path, change: str) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.5)
+    before = send(server, tmp_path, store)
+    with server.connection() as connection:
+        connection.execute(change)
+    writer = HistoryWriter(store, clock=StillClock(), machine=SMALL)
+    writer.start()
+    with contextlib.closing(writer):
+        sample = make.cnc_sample(EPOCH_S + 1800.0)
+        for later_s in (0.0, 1.0):  # a clock that was set back: the time of day comes twice
+            time_of_it = replace(sample.time, monotonic_s=sample.time.monotonic_s + later_s)
+            writer.cnc_sample(replace(sample, time=time_of_it))
+    after = send(server, tmp_path, store)
+    assert "somebody has altered the tables in schema toolpoint" in after.problem and "Failing row" not in after.problem
+    assert after.positions["cnc"] == before.positions["cnc"]
+
+
+def test_a_table_may_have_columns_of_its_own(server: Server, tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.5)
+    send(server, tmp_path, store)
+    with server.connection() as connection:
+        for name in STREAMS:
+            table = "reference_points" if name == "references" else name
+            connection.execute(f"ALTER TABLE toolpoint.{table} ADD COLUMN site text NOT NULL DEFAULT 'north'")
+    fill(store, start_s=EPOCH_S + 3600.0, hours=0.5)
+    assert send(server, tmp_path, store).problem == ""
+    assert server.ask("SELECT count(*), min(site), max(site) FROM toolpoint.cnc") == [(12, "north", "north")]
 
 
 def test_a_role_that_may_not_create_is_named(server: Server, tmp_path: Path) -> None:
