@@ -61,7 +61,7 @@ TEXTS = frozenset(
 ADDED_LATER = ("positions_mm",)
 """Columns that rows from machines with an earlier version do not have."""
 FAULTS_OF_A_ROW = (
-    *(psycopg.DataError, psycopg.IntegrityError),
+    *(psycopg.DataError, errors.NotNullViolation),
     *(errors.ProgramLimitExceeded, errors.StatementTooComplex),  # a key that is too long, JSON that is too deep
 )
 
@@ -302,6 +302,9 @@ class PlantStore:
         try:
             _put(database, [row])
         except FAULTS_OF_A_ROW as error:
+            column = error.diag.column_name
+            if isinstance(error, errors.NotNullViolation) and column not in row.stream.columns:
+                raise  # a column of somebody's own, which no row has: they wait
             log.warning("store.refused", machine=printable(row.machine), stream=row.stream.name, problem=_said(error))
 
 

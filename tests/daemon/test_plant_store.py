@@ -12,7 +12,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 from fleet_kills import plant_broker
-from mosquitto import mosquitto
+from mosquitto import mosquitto, wait_until
 from paho.mqtt.publish import single
 from postgresql import PASSWORD, Server, postgresql
 
@@ -33,6 +33,7 @@ REFERENCE = {
     **{"source": "s", "sensor_ids": [1], "degc": [20.0], "program": 1, "work_offset": 54, "power_on_count": 3},
 }
 TOPIC = "toolpoint/mill%2F7/history/events"
+EVENTS = "ALTER TABLE toolpoint.events"
 PATIENCE_S = 60.0
 LONG = "".join(hashlib.sha256(bytes([n])).hexdigest() for n in range(150))
 
@@ -136,6 +137,45 @@ def test_a_message_that_the_database_refuses_keeps_no_other_back(server: Server,
         assert stored() == ["one", "two"]
         newest = server.ask("SELECT machine, stream, extract(epoch FROM newest)::int FROM toolpoint.deliveries")
         assert newest == [("mill/7", "events", 1_760_000_400)]
+    finally:
+        stop.set()
+        store.join()
+        broker.kill()
+
+
+@pytest.mark.parametrize(
+    ("change", "back"),
+    [
+        ("ADD CONSTRAINT known CHECK (machine = 'lathe') NOT VALID", "DROP CONSTRAINT known"),
+        (f"ADD site text NOT NULL DEFAULT 'a'; {EVENTS} ALTER site DROP DEFAULT", "DROP COLUMN site"),
+    ],
+)
+def test_rows_wait_while_a_table_is_altered(server: Server, tmp_path: Path, change: str, back: str) -> None:
+    server.empty()
+    broker, stop, told = plant_broker(tmp_path), threading.Event(), []
+    broker.start()
+    store = threading.Thread(target=PlantStore(section(server, broker.port, tmp_path), stop, told.append).run)
+
+    def publish(text: str) -> None:
+        single(TOPIC, json.dumps(EVENT | {"text": text}), qos=1, hostname="127.0.0.1", port=broker.port)
+
+    def stored() -> list[str]:
+        found = server.ask("SELECT to_regclass('toolpoint.events')")[0][0]
+        return [] if found is None else [text for (text,) in server.ask("SELECT text FROM toolpoint.events ORDER BY 1")]
+
+    def came() -> bool:
+        publish("before")  # again where the store had not subscribed yet
+        return stored() == ["before"]
+
+    try:
+        store.start()
+        wait_until(came)
+        with server.connection() as connection:
+            connection.execute(f"{EVENTS} {change}")
+            publish("meanwhile")
+            wait_until(lambda: "somebody has altered the tables" in told[-1])
+            connection.execute(f"{EVENTS} {back}")
+        wait_until(lambda: stored() == ["before", "meanwhile"])
     finally:
         stop.set()
         store.join()
