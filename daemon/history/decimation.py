@@ -126,7 +126,7 @@ class Buckets:
     ) -> None:
         """Add pieces that are decimated already, each with as many values as `weight` says."""
         place = np.floor((time_s - self.from_s) / self.width_s)
-        counts = np.isfinite(mean) & (place >= 0) & (place < self.count) & (weight > 0)
+        counts = np.isfinite(mean) & (time_s >= self.from_s) & (place < self.count) & (weight > 0)
         at: npt.NDArray[np.intp] = place[counts].astype(np.intp)
         np.minimum.at(self.least, at, least[counts])
         np.maximum.at(self.greatest, at, greatest[counts])

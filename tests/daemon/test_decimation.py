@@ -141,6 +141,13 @@ def test_a_query_can_be_broken_off(packed):
         decimated(reader, ["temperature.12"], EPOCH_S, END_S, 4000, enough)
 
 
+def test_a_value_just_before_the_first_bucket_is_in_none():
+    """Divided by the width, so small a time is 0."""
+    buckets = Buckets(from_s=0.0, width_s=50.0, count=2)
+    buckets.add(np.array([-5e-324, 0.0]), np.array([0.0, 1.0]))
+    assert buckets.series().least.tolist() == [1.0]
+
+
 @given(
     times=arrays(np.float64, st.integers(0, 60), elements=st.floats(-10.0, 110.0)),
     values=st.data(),

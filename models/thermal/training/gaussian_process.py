@@ -124,7 +124,7 @@ def _surprise(
     bend, residual = kernels.of_rows(logarithms)
     covariance = kernels.covariance(logarithms, bend, residual)
     covariance += kernels.of_groups(logarithms)
-    matrix, (rows, channels) = np.empty(below.shape), values.shape
+    matrix, (rows, channels) = np.zeros(below.shape), values.shape
     matrix[below] = covariance
     factor, failed = dpotrf(matrix.T, lower=0, clean=0, overwrite_a=1)
     if failed:
