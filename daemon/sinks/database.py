@@ -24,6 +24,8 @@ from daemon.sinks.row_messages import KEYS
 
 log = structlog.get_logger(__name__)
 SCHEMA = "toolpoint"
+STORE = "toolpoint store"
+"""What the connection of a plant's store is called."""
 ANSWER_TIMES = 6
 """An answer may take so many times as long as connecting."""
 MIGRATING = 7_413_015
@@ -104,7 +106,11 @@ class Database:
 
     def refused(self, error: Exception) -> SinkError:
         """Return what an error of the database means for a person."""
-        return SinkError(f"{self._where}: {refusal(error, self._config)}")
+        return self.problem(refusal(error, self._config))
+
+    def problem(self, text: str) -> SinkError:
+        """Return a text that names the database."""
+        return SinkError(f"{self._where}: {text}")
 
     @contextlib.contextmanager
     def transaction(self) -> Iterator[psycopg.Connection[Any]]:

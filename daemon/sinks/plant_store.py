@@ -28,7 +28,7 @@ from config.schema.plant_store import PlantStoreConfig, SubscriptionConfig
 from daemon.sinks.broker import set_credentials
 from daemon.sinks.broker_refusals import closed_at_once, lost, no_acknowledgement, reason, refusal
 from daemon.sinks.contract import SinkError
-from daemon.sinks.database import Database, time_of
+from daemon.sinks.database import STORE, Database, time_of
 from daemon.sinks.mqtt import topic_level
 from daemon.sinks.outbox import DAY_MS, STREAMS, Stream
 from daemon.sinks.row_messages import JSON_COLUMNS
@@ -43,8 +43,6 @@ PING_PERIOD_S = 20
 LOOK_PERIOD_S = 0.5
 TELL_PERIOD_S = 5.0
 """How often the service manager hears that the process works, and how it fares."""
-APPLICATION = "toolpoint store"
-"""What the database calls its connection."""
 RETRY_FIRST_S, RETRY_LONGEST_S = 1.0, 30.0
 LONGEST_NAME = 200
 LARGEST_MESSAGE = 1 << 18
@@ -257,7 +255,7 @@ class PlantStore:
     def _session(self) -> None:
         there = self._config.postgresql
         where = f"database {there.host}:{there.port}/{there.database}"
-        database, subscription = Database(there, where, APPLICATION), Subscription(self._config.mqtt)
+        database, subscription = Database(there, where, STORE), Subscription(self._config.mqtt)
         try:
             database.open()
             subscription.open()
@@ -319,7 +317,7 @@ def store_status(config: PlantStoreConfig) -> dict[str, Any]:
         database.open()
         ask = database.connection.execute
         (running,) = ask(
-            "SELECT count(*) > 0 FROM pg_stat_activity WHERE application_name = %s", (APPLICATION,)
+            "SELECT count(*) > 0 FROM pg_stat_activity WHERE application_name = %s", (STORE,)
         ).fetchone() or (False,)
         found = ask(
             "SELECT machine, extract(epoch FROM max(newest))::float8, extract(epoch FROM max(delivered))::float8, "

@@ -12,8 +12,9 @@ import psycopg
 from config.schema.sinks import SinkConfig
 from daemon.history.cursors import Cursor, Position
 from daemon.sinks.contract import Progress
-from daemon.sinks.database import EPOCH, Database, time_of
+from daemon.sinks.database import EPOCH, STORE, Database, time_of
 from daemon.sinks.outbox import DAY_MS, STREAMS, Batch, Outbox
+from daemon.sinks.postgresql_refusals import name_taken
 from models.records import WriteOutcome
 
 CONVERSIONS: Mapping[str, Callable[[Any], Any]] = {
@@ -25,6 +26,13 @@ CONVERSIONS: Mapping[str, Callable[[Any], Any]] = {
     "accepted": bool,
     "outcome": lambda code: WriteOutcome(code).name.lower(),
 }
+
+OTHERS = """
+SELECT count(*) FROM deliveries
+WHERE machine = %s AND generation NOT IN ('', %s) AND delivered BETWEEN now() - interval '1 minute' AND now()
+AND NOT EXISTS (SELECT 1 FROM pg_stat_activity WHERE application_name = %s)
+"""
+"""Streams of this machine that another store has brought just now; where a plant's store works it is not known who."""
 
 
 class PostgresqlSink:
@@ -73,6 +81,8 @@ class PostgresqlSink:
         convert = [CONVERSIONS.get(name) for name in stream.columns]
         rows = ((self._machine, *(c(v) if c else v for c, v in zip(convert, row, strict=True))) for row in batch.rows)
         with self._database.transaction() as connection:
+            if connection.execute(OTHERS, (self._machine, generation, STORE)).fetchone() != (0,):
+                raise self._database.problem(name_taken(self._machine))
             stored = self._database.put(stream, rows, {row[0] // DAY_MS for row in batch.rows})
             connection.execute(
                 "INSERT INTO deliveries (machine, stream, generation, last_row, last_chunk, newest) "

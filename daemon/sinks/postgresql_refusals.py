@@ -57,6 +57,14 @@ def newer_schema(there: int, known: int) -> str:
     )
 
 
+def name_taken(machine: str) -> str:
+    """Return that another store sends under the name of this machine."""
+    return (
+        f"another store has sent as {machine} in the last minute: `machine` must differ from computer to computer; a "
+        "store that was restored or begun anew waits this minute"
+    )
+
+
 def unreadable(key: str, path: Path, error: object) -> str:
     """Return that a file which the configuration names cannot be used."""
     return f"`{key}` {path} cannot be read ({error}): check the path, and that the service may read it"

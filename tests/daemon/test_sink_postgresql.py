@@ -235,8 +235,30 @@ def test_a_store_that_was_begun_anew_is_sent_from_its_beginning(server: Server, 
     send(server, tmp_path, store)
     store.unlink()
     fill(store, start_s=EPOCH_S + 86_400.0, hours=1.0)
-    send(server, tmp_path, store)
-    assert counts(server)["cnc"] == 36 + 12
+    assert "begun anew waits this minute" in send(server, tmp_path, store).problem and counts(server)["cnc"] == 36
+    a_minute_later(server)
+    assert send(server, tmp_path, store).problem == "" and counts(server)["cnc"] == 36 + 12
+
+
+def a_minute_later(server: Server) -> None:
+    with server.connection() as connection:
+        connection.execute("UPDATE toolpoint.deliveries SET delivered = delivered - interval '1 minute'")
+
+
+def test_two_machines_of_one_name_do_not_mix_their_rows(server: Server, tmp_path: Path) -> None:
+    first, second = tmp_path / "1.sqlite", tmp_path / "2.sqlite"
+    for store in (first, second):
+        fill(store, hours=0.5)
+    assert send(server, tmp_path, first).problem == ""
+    refused = send(server, tmp_path, second)
+    assert f"another store has sent as {MACHINE} in the last minute: `machine` must differ" in refused.problem
+    assert refused.sent_rows == 0
+    fill(first, start_s=EPOCH_S + 1800.0, hours=0.5)
+    assert send(server, tmp_path, first).problem == "", "the other one did not disturb it"
+    a_minute_later(server)
+    assert send(server, tmp_path, second).problem == "", "the first is off, or was replaced"
+    fill(first, start_s=EPOCH_S + 7200.0, hours=0.5)
+    assert "another store" in send(server, tmp_path, first).problem, "it comes back"
 
 
 def test_wrong_clocks_are_stored_beside_the_months(server: Server, tmp_path: Path) -> None:
