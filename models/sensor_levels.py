@@ -125,6 +125,16 @@ def trusted_anew(levels: SensorLevels, wrong: BoolArray) -> SensorLevels:
     return replace(levels, uncertainty_k=np.zeros_like(lasting_k), lasting_k=lasting_k)
 
 
+def counted_again(levels: SensorLevels, lasting_k: FloatArray) -> SensorLevels:
+    """Return the levels when it counts from a reference of before again, since which everything is doubted.
+
+    `lasting_k`, shape (n_sensors,): that of the levels at that reference [K].
+    """
+    off_k = levels.lasting_k + levels.uncertainty_k - lasting_k
+    off_k = np.where(np.abs(off_k) > UNKNOWN_K / 2, levels.uncertainty_k, np.where(np.abs(off_k) <= OWN_K, 0.0, off_k))
+    return replace(levels, uncertainty_k=off_k, lasting_k=lasting_k)
+
+
 def trusted(levels: SensorLevels) -> SensorLevels:
     """Return the levels when a person says that the temperatures are right as they are at the reference."""
     away_s = {index: at_s for index, at_s in levels.away_s.items() if levels.uncertainty_k[index] != 0.0}

@@ -17,6 +17,7 @@ from models.sensor_levels import (
     UNKNOWN_K,
     BelievedValues,
     SensorLevels,
+    counted_again,
     doubted,
     first_levels,
     jumped_k,
@@ -31,6 +32,8 @@ from models.standing_input import StandingInput, renewed_input
 
 NAMED = 3
 """So many sensors are named in one sentence."""
+LATEST = 3
+"""So many references before the newest may be asked for again: those between were refused."""
 HELD_PERIODS = 2.5
 """A sensor whose value is older than so many cycles of its line has missed two."""
 
@@ -39,8 +42,7 @@ class Cleansing:
     """What is known of every sensor; owned by the thermal task."""
 
     def __init__(self, configuration: Configuration, clock: Clock) -> None:
-        temperatures = configuration.temperatures
-        self._clock = clock
+        temperatures, self._clock = configuration.temperatures, clock
         position = {sensor_id: index for index, sensor_id in enumerate(temperatures.sensor_ids)}
         self._lines = {
             each.name: (np.array([position[i] for i in each.sensor_ids]), each.cycle_period_s)
@@ -67,14 +69,15 @@ class Cleansing:
         self._silent = np.ones(len(position), dtype=np.bool_)
         self.levels = first_levels(len(position))
         """What every sensor's level counts as; the means hold it, the latest temperatures do not."""
+        self._lasting_k: dict[str, FloatArray] = {}
+        """Of the levels at the latest references [K]."""
         self._jumped_at_s = np.full(len(position), -np.inf)
         self._stood_since_s: dict[str, float] = {}
         """Since when inputs had stood that go on, until all their values count again [s]."""
         self.jumped_k: FloatArray | None = None
         """By how much sensors have jumped with the latest cycle [K], None where none has."""
         self.gap_ended = False
-        """With the latest cycle an input goes on that had stood, or a sensor is itself again that had come back wrong:
-        what was read of it meanwhile is no past."""
+        """With the latest cycle an input goes on that had stood, or a sensor is itself again: its past has a gap."""
         self._measured = np.full(len(position), np.nan)
         self._quality = np.full(len(position), Quality.MISSING, dtype=np.uint8)
         self._reason = np.full(len(position), Reason.NOT_RECEIVED, dtype=np.uint8)
@@ -189,9 +192,15 @@ class Cleansing:
         self.levels = with_past(self.levels, degc, at_s)
         self.units.recall_past(degc)
 
-    def trust_anew(self, wrong: Collection[int]) -> None:
+    def trust_anew(self, reference_id: str, wrong: Collection[int]) -> None:
         """Take every sensor's level as it is: a new reference counts from it; `wrong`: IDs of those found wrong."""
         self.levels = trusted_anew(self.levels, np.isin(self._sensor_ids, [*wrong]))
+        self._lasting_k = dict([*self._lasting_k.items()][-LATEST:]) | {reference_id: self.levels.lasting_k}
+
+    def count_again_from(self, reference_id: str) -> None:
+        """Doubt what was doubted since a reference of this run: those after it were refused."""
+        if (lasting_k := self._lasting_k.get(reference_id)) is not None:
+            self.levels = counted_again(self.levels, lasting_k)
 
     def trust_temperatures(self) -> None:
         """Take the temperatures as they are at the reference: a person says that they are right."""
@@ -229,12 +238,8 @@ class Cleansing:
         returned = result.returned & self._after_silence(indices, usable, now_s)
         good = result.quality == GOOD
         self.units.counted(indices[good], result.degc[good])
-        change_degc = np.abs(result.degc - before_degc)
-        far = good & (change_degc >= self._rules.max_change_degc) & ~result.straight
-        if far.any():  # one step of a sensor that counts in so large ones is none
-            whole = result.degc == np.round(result.degc)
-            step_k = np.where(self._step_k[indices] > 0.0, self._step_k[indices], whole)
-            far &= change_degc > step_k * (1.0 + 1e-6)
+        most_degc, step_k = self._rules.max_change_degc, self._step_k[indices]
+        far = good & ~result.straight & _at_once(before_degc, result.degc, most_degc, step_k)
         jumped = (result.new_level | (far & heard)) & ~returned & np.isfinite(before_degc)
         self._jumped_at_s[indices[far]] = now_s
         self._silent[indices[good]] = False
@@ -283,3 +288,14 @@ class Cleansing:
         self._silent[indices] |= usable & (now_s - self._usable_at_s[indices] > self._rules.stale_after_s)
         self._usable_at_s[indices[usable]] = now_s
         return self._silent[indices].copy()
+
+
+def _at_once(before_degc: FloatArray, degc: FloatArray, most_degc: float, step_k: FloatArray) -> npt.NDArray[np.bool_]:
+    """Return which temperatures have changed by so much at once, and by more than one step in which they count.
+
+    `step_k`: 0 where it is not known; a temperature in whole degrees tells it.
+    """
+    change_degc = np.abs(degc - before_degc)
+    if (far := change_degc >= most_degc).any():
+        far &= change_degc > (1.0 + 1e-6) * np.where(step_k > 0.0, step_k, degc == np.round(degc))
+    return far

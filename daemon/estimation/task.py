@@ -216,6 +216,7 @@ class ThermalTask:
         """Go on from a reference of before; what the model needs of the store is read in a thread."""
         reference = message.reference
         self._taken_up_s = self._clock.now().monotonic_s
+        self._cleansing.count_again_from(reference.reference_id)
         self._since.take_up(reference, message.sensors)
         self._positions.take_up(self._since.positions_mm)
         if self._online is not None:
@@ -339,10 +340,9 @@ class ThermalTask:
             refused = f"reference of {request.source} refused: {why}"
             self._deliver(ReferenceRefused(reference_id=request.reference_id, why=refused))
             return
-        reference = _reference(request, now, degc)
-        self._reference, self._taken_up_s = reference, -np.inf
-        self._online, self._next = self._next or self._online, None
-        self._cleansing.trust_anew(self._since.excluded)
+        self._reference = reference = _reference(request, now, degc)
+        self._online, self._next, self._taken_up_s = self._next or self._online, None, -np.inf
+        self._cleansing.trust_anew(reference.reference_id, self._since.excluded)
         self._since.begin(reference)
         self._since.positions_mm = self._positions.set_reference(now.monotonic_s)
         if self._online is not None:

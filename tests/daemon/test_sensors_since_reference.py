@@ -179,3 +179,31 @@ async def test_a_sensor_that_was_found_wrong_holds_when_the_tool_s_temperature_h
     assert task.sensors.wrong_in_tool_um == pytest.approx(2.0), "a restart knows it"
     await task.ask("r2")
     assert "tool" not in task.estimates[-1].inhibit
+
+
+@pytest.mark.parametrize("restarted", [False, True])
+async def test_a_reference_that_another_one_was_refused_for_is_in_doubt_as_before(tmp_path, restarted):
+    """The work was positioned with an offset applied under zero_first: tool settings count from the former one."""
+    task = Task(tmp_path, model())
+    task.history.start()
+    await task.minutes(3)
+    await task.ask("r1")
+    reference = task.references[-1]
+    await task.minutes(3, spindle=[24.0, 20.0, 20.0])
+    assert "the level of sensor 1 by 4.0 K" in task.estimates[-1].inhibit
+    kept = task.taken_up(reference)
+    await task.ask("r2")
+    await task.minutes(0.5, spindle=[24.0, 20.0, 20.0])
+    assert task.estimates[-1].inhibit == "" and task.estimates[-1].reference_id == "r2"
+    await task.task._take(kept)
+    await task.minutes(0.5, spindle=[24.0, 20.0, 20.0])
+    if restarted:
+        await task.history.flushed()
+        task = task.restarted(model())
+        await task.task._take(kept)
+        await task.minutes(2, spindle=[24.0, 20.0, 20.0])
+    assert task.estimates[-1].reference_id == "r1"
+    assert "the level of sensor 1 by 4.0 K" in task.estimates[-1].inhibit
+    await task.minutes(2)
+    assert task.estimates[-1].inhibit == "", "it is where it was"
+    task.history.close()
