@@ -13,6 +13,7 @@ from zoo_machines import ROSTER, Machine, recordings, reversed_run, write
 from daemon.cli import main
 from drivers.files.recording_csv import read_recording
 from models.recordings.dataset import Recording
+from models.thermal.family import model_from_json
 from models.thermal.training.inputs import build_inputs
 from models.thermal.training.online import compensated_um, follow
 from models.thermal.training.train_family import train_family
@@ -103,6 +104,27 @@ def test_every_family_on_a_few_small_machines(tmp_path: Path, capsys: pytest.Cap
         assert machine["points"] > -20.0, machine
     table = capsys.readouterr().out
     assert f"tuning: machines 11, {SMALL.number}" in table and "points below it on" in table
+
+
+@pytest.mark.parametrize(
+    ("number", "first", "family"),
+    [
+        (25, 0, "ridge"),
+        (1, 0, "lags"),
+        (29, 0, "half ridge, half lags"),
+        (25, 4, "half ridge, half gaussian and ridges"),
+    ],
+)
+def test_of_two_runs_the_whole_runs_tell_whether_lags_are_better(number: int, first: int, family: str) -> None:
+    """By cycles or blocks of the same two runs lags looked better on all of these; the model is one that loads."""
+    machine = next(one for one in ROSTER if one.number == number)
+    two = [recording.downsampled(60.0) for recording in recordings(machine)[first : first + 2]]
+    trained = train_family(two, "default", sample_s=60.0, created="2026-01-01T00:00:00Z")
+    assert trained.choice is not None and (trained.choice.family, trained.model.kind) == (family, "default")
+    assert "of the two runs, each left out whole" in trained.choice.why
+    assert trained.choice.family in [one.family for one in trained.choice.candidates]
+    content = trained.model.to_json()
+    assert model_from_json(content, "model.json").model_id == trained.model.model_id
 
 
 @pytest.mark.parametrize("number", [24, 25, 26])

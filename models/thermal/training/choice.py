@@ -31,6 +31,9 @@ from models.thermal.training.left_out_errors import (
     LeftOutErrors,
     advantage,
     left_out_errors,
+    left_out_runs,
+    mean_errors,
+    only,
     relative,
     rmse_um,
 )
@@ -57,6 +60,11 @@ WATCH_IS_WORTH = 0.02
 """A family of which no sensor can be left out, so that none can be watched, must leave so much less of the error."""
 FEWEST_TO_MIX = 3
 """With fewer independent folds scores are too few to mix families by."""
+BETTER_IN_BOTH = 0.8
+"""Of two runs one family must leave less than this share of what another leaves, in each of them when only the other
+was trained on."""
+ALIKE_IN_LENGTH = 3.0
+"""One run that has more than so many times the rows of the other is rather one run than two."""
 ON_TEMPERATURES: dict[str, Prepare] = {
     "ridge": ridge_family,
     "pls": PartialLeastSquaresProblem,
@@ -101,6 +109,8 @@ class _Tried:
     errors: LeftOutErrors | None
     hyper_parameters: HyperParameters = field(default_factory=dict)
     refused: str | None = None
+    members: Sequence[tuple[Member, float]] = ()
+    """Of which it is the weighted mean, where it is one."""
 
     @property
     def score(self) -> float:
@@ -205,22 +215,70 @@ class ChosenProblem:
             return best_plain or plain[0], [], why
         with_speed = bool(self._inputs.layout.speed_lags_min)
         if self._independent < FEWEST_TO_MIX:
-            even = mean_of("lags", self._ridges(speed=with_speed, lagged=True), self._inputs, self._rows, mixed=False)
+            chosen = mean_of("lags", self._ridges(speed=with_speed, lagged=True), self._inputs, self._rows, mixed=False)
+            others = [chosen]
             why = (
                 "fewer than three whole runs or cycles can be left out, too few to choose a family by; taken is the "
                 "mean of ridges on lags, which needs no choice"
             )
             if self._families == ("gaussian",):
                 why = f"gaussian was asked for by name, but the model holds no Gaussian process: {why}"
-            return even, [even], why
-        others = self._mixed([False, True] if with_speed else [False])
-        chosen = min(others, key=lambda one: one.score)
-        if len(others) > 1:
-            reasons.append(_comparison(others))
-        if best_plain is not None:
+        else:
+            others = self._mixed([False, True] if with_speed else [False])
+            chosen = min(others, key=lambda one: one.score)
+            if len(others) > 1:
+                reasons.append(_comparison(others))
+            why = "; ".join(reasons) or f"{chosen.family} was asked for by name"
+        if best_plain is None:
+            return chosen, others, why
+        if (both := self._of_two_runs(best_plain, chosen)) is not None:
+            chosen, reason = both
+            others += [chosen] if chosen not in (best_plain, *others) else []
+            return chosen, others, "; ".join([*reasons, reason])
+        if self._independent >= FEWEST_TO_MIX:
             chosen, reason = simpler(best_plain, chosen)
-            reasons.append(reason)
-        return chosen, others, "; ".join(reasons) or f"{chosen.family} was asked for by name"
+            why = "; ".join([*reasons, reason])
+        return chosen, others, why
+
+    def _of_two_runs(self, plain: _Tried, other: _Tried) -> tuple[_Tried, str] | None:
+        """Return the one that is clearly better in each of two runs, else half of each, and why; None: not two runs.
+
+        Cycles and blocks of a run are alike in what differs between two: scored by them, what fits a run best wins.
+        """
+        runs, rows = np.unique(self._inputs.run[self._rows], return_counts=True)
+        if len(runs) != 2 or rows.max() > ALIKE_IN_LENGTH * rows.min() or other.errors is None:
+            return None
+        found = []
+        for one in (plain, other):
+            inputs = part_of(self._inputs, one.layout.lags_min, one.layout.speed_lags_min)
+            errors = left_out_runs(inputs, self._rows, self._fold, one.fit, self._probe_min)
+            if errors is None:
+                return None
+            found.append(np.array([relative(only(errors, int(run))) for run in runs]))
+        of_plain, of_other = found
+        left = "of the two runs, each left out whole, {} leaves {:.1%} and {:.1%}, {} {:.1%} and {:.1%}"
+        said = left.format(other.family, *of_other, plain.family, *of_plain)
+        if (of_other < BETTER_IN_BOTH * of_plain).all():
+            return other, f"{said}: {other.family} leaves clearly less of both"
+        if (of_plain < BETTER_IN_BOTH * of_other).all():
+            return plain, f"{said}: {plain.family} leaves clearly less of both"
+        return (
+            self._half_ridge(other, other.errors),
+            f"{said}: two runs do not tell which is better, so it is half a ridge on temperatures",
+        )
+
+    def _half_ridge(self, other: _Tried, errors: LeftOutErrors) -> _Tried:
+        """Return the mean of another mean and a ridge on temperatures alone."""
+        plain = part_of(self._inputs, (), ())
+        ridge = RidgeMember("temperatures levels", plain, self._rows, self._fold, self._probe_min, LEVELS)
+        assert ridge.errors is not None
+        return _mean(
+            f"half ridge, half {other.family}",
+            [(ridge, 0.5), *((one, 0.5 * weight) for one, weight in other.members)],
+            mean_errors([ridge.errors, errors], [0.5, 0.5]),
+            self._inputs,
+            self._rows,
+        )
 
     def _mixed(self, speeds: Sequence[bool]) -> list[_Tried]:
         """Return the means that are tried: of ridges, of Gaussian processes, of both."""
@@ -309,10 +367,25 @@ def mean_of(
     errors = [one.errors for one in made if one.errors is not None]
     known = len(errors) == len(made)
     weights, left = mean_weights(errors, mixed=mixed) if known else (even_weights(scores), None)
-    kept = [(made[index], weight) for index, weight in weights.items()]
+    found = _mean(family, [(made[index], weight) for index, weight in weights.items()], left, inputs, rows, ridges)
+    if np.isfinite(scores).all():
+        found.hyper_parameters["tried"] = ", ".join(one.name for one in made)
+        found.hyper_parameters["left_out_relative_rmse"] = scores
+    return found
+
+
+def _mean(
+    family: str,
+    kept: Sequence[tuple[Member, float]],
+    left: LeftOutErrors | None,
+    inputs: Inputs,
+    rows: BoolArray,
+    ridges: Sequence[RidgeMember] = (),
+) -> _Tried:
+    """Return the weighted mean of some members, and what it leaves; `ridges`: see `mean_of`."""
     processes = [(one, weight) for one, weight in kept if isinstance(one, GaussianMember)]
     linear = [(one, weight) for one, weight in kept if isinstance(one, RidgeMember)]
-    far = min([one for one, _ in linear] or ridges, key=_score) if processes and ridges else None
+    far = min([one for one, _ in linear] or ridges, key=_score) if processes else None
     layout = joint_layout([one.layout for one in (*(one for one, _ in kept), *([far] if far is not None else []))])
     centre = inputs.features.mean(axis=0, where=rows[:, None])[columns_of(layout, inputs.layout)]
 
@@ -336,15 +409,13 @@ def mean_of(
         hyper_parameters["penalties"] = [one.penalty for one, _ in linear]
     for one, _ in processes:
         hyper_parameters[one.name] = one.hyper_parameters
-    if np.isfinite(scores).all():
-        hyper_parameters["tried"] = ", ".join(one.name for one in made)
-        hyper_parameters["left_out_relative_rmse"] = scores
     return _Tried(
         family=family,
         fit=fit,
         layout=layout,
         errors=left,
         hyper_parameters=hyper_parameters,
+        members=kept,
     )
 
 

@@ -1,13 +1,13 @@
 """How good a family is on what was left out, and how sure the difference between two families is."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from models.records import FloatArray
 from models.thermal.features import BoolArray, IntArray
-from models.thermal.training.families import Fit, held_out_um
+from models.thermal.training.families import Fit, fold_numbers, held_out_um
 from models.thermal.training.inputs import Inputs
 from models.thermal.training.probing import probed_residual_um
 
@@ -73,6 +73,25 @@ def left_out_errors(
         period_min=inputs.period_min,
         probe_min=probe_min,
     )
+
+
+def left_out_runs(
+    inputs: Inputs, rows: BoolArray, fold: IntArray, fit: Callable[[frozenset[int]], Fit], probe_min: float | None
+) -> LeftOutErrors | None:
+    """Return what a family leaves of each whole run, fitted without the folds that hold any of it.
+
+    Result: with the indices of the runs as folds; None where no fold is without a run.
+
+    `inputs`, `rows`, `fold`, `probe_min`: see `left_out_errors`. `fit`: the fit without some folds.
+    """
+    everything = set(fold_numbers(rows, fold))
+    fits = {}
+    for run in np.unique(inputs.run[rows]):
+        held = everything & set(fold[rows & (inputs.run == run)].tolist())
+        if held == everything:
+            return None
+        fits[int(run)] = fit(frozenset(held))
+    return left_out_errors(inputs, rows, inputs.run, fits, probe_min)
 
 
 def together(parts: Sequence[LeftOutErrors]) -> LeftOutErrors:
