@@ -278,6 +278,7 @@ class ChosenProblem:
             mean_errors([ridge.errors, errors], [0.5, 0.5]),
             self._inputs,
             self._rows,
+            ridge,
         )
 
     def _mixed(self, speeds: Sequence[bool]) -> list[_Tried]:
@@ -367,7 +368,9 @@ def mean_of(
     errors = [one.errors for one in made if one.errors is not None]
     known = len(errors) == len(made)
     weights, left = mean_weights(errors, mixed=mixed) if known else (even_weights(scores), None)
-    found = _mean(family, [(made[index], weight) for index, weight in weights.items()], left, inputs, rows, ridges)
+    kept = [(made[index], weight) for index, weight in weights.items()]
+    far = min([one for one, _ in kept if isinstance(one, RidgeMember)] or ridges, key=_score, default=None)
+    found = _mean(family, kept, left, inputs, rows, far)
     if np.isfinite(scores).all():
         found.hyper_parameters["tried"] = ", ".join(one.name for one in made)
         found.hyper_parameters["left_out_relative_rmse"] = scores
@@ -380,13 +383,13 @@ def _mean(
     left: LeftOutErrors | None,
     inputs: Inputs,
     rows: BoolArray,
-    ridges: Sequence[RidgeMember] = (),
+    far: RidgeMember | None,
 ) -> _Tried:
-    """Return the weighted mean of some members, and what it leaves; `ridges`: see `mean_of`."""
+    """Return the weighted mean of some members, and what it leaves; `far`: counts alone far out, if a member bends."""
     processes = [(one, weight) for one, weight in kept if isinstance(one, GaussianMember)]
     linear = [(one, weight) for one, weight in kept if isinstance(one, RidgeMember)]
-    far = min([one for one, _ in linear] or ridges, key=_score) if processes else None
-    layout = joint_layout([one.layout for one in (*(one for one, _ in kept), *([far] if far is not None else []))])
+    used = [one for one, _ in kept] + ([far] if processes and far is not None else [])
+    layout = joint_layout([one.layout for one in used])
     centre = inputs.features.mean(axis=0, where=rows[:, None])[columns_of(layout, inputs.layout)]
 
     def fit(left_out: frozenset[int]) -> Fit:
