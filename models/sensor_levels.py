@@ -29,9 +29,9 @@ TREND_S = 300.0
 SHORTEST_TREND_S = 120.0
 MOMENT_S = 10.0
 """Moments that are kept lie so far apart [s]."""
-CHANGES_KEPT = 200
-"""So many changes of shifts are kept."""
-GAPS_KEPT = 20
+CHANGES_KEPT, OF_EACH = 200, 4
+"""So many changes of shifts and jumps are kept, but of a whole machine so many of each sensor."""
+GAPS_KEPT = 100
 UNKNOWN_K = 1e3
 """Stands for an error that nobody knows: more than any sensor is wrong by [K]."""
 
@@ -285,7 +285,7 @@ def _judged(
     levels: SensorLevels, group: GroupArray, seen: BelievedValues, judged: BoolArray, degc: FloatArray
 ) -> tuple[SensorLevels, FloatArray]:
     shift_k, uncertainty_k, changes = levels.shift_k.copy(), levels.uncertainty_k.copy(), list(levels.changes)
-    jumps, gaps, away_s = list(levels.jumps), levels.gaps, dict(levels.away_s)
+    jumps, away_s, again = list(levels.jumps), dict(levels.away_s), dict[float, tuple[int, ...]]()
     counted = degc.copy()
     beside_degc = np.where(levels.uncertainty_k == 0.0, degc, np.nan)
     beside_degc[[*levels.left, *seen.indices[judged].tolist()]] = np.nan
@@ -315,14 +315,16 @@ def _judged(
             counted[index] = seen.degc[place] - shift_k[index]
         elif abs(wrong_k) <= near_k and index in away_s:
             from_s = away_s.pop(index)
-            gaps = (*gaps, (from_s, seen.now_s, (index,)))[-GAPS_KEPT:]
+            again[from_s] = (*again.get(from_s, ()), index)
             jumps = [each for each in jumps if each[1] != index or each[0] < from_s]
         elif abs(wrong_k) <= near_k or not seen.returned[place]:
             jumps.append((seen.now_s, index, off_k))
         else:
             away_s.setdefault(index, _wrong_since_s(jumps, index, wrong_k - off_k, levels.left[index].at_s))
-    found = replace(levels, shift_k=shift_k, uncertainty_k=uncertainty_k, changes=tuple(changes[-CHANGES_KEPT:]))
-    return replace(found, jumps=tuple(jumps[-CHANGES_KEPT:]), gaps=gaps, away_s=MappingProxyType(away_s)), counted
+    kept, righted = max(CHANGES_KEPT, OF_EACH * len(shift_k)), tuple((at, seen.now_s, of) for at, of in again.items())
+    found = replace(levels, shift_k=shift_k, uncertainty_k=uncertainty_k, changes=tuple(changes[-kept:]))
+    gaps = (*levels.gaps, *righted)[-GAPS_KEPT:] if righted else levels.gaps
+    return replace(found, jumps=tuple(jumps[-kept:]), gaps=gaps, away_s=MappingProxyType(away_s)), counted
 
 
 def _wrong_since_s(jumps: list[tuple[float, int, float]], index: int, wrong_k: float, left_s: float) -> float:

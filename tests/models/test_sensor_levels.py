@@ -12,6 +12,7 @@ from models.sensor_levels import (
     renewed_levels,
     trusted,
     trusted_anew,
+    undone,
     unshifted,
     with_gap,
     with_past,
@@ -29,32 +30,43 @@ def test_of_a_mean_that_holds_some_of_a_gap_nothing_is_known(time_s: float, mean
     np.testing.assert_array_equal(degc, [20.0, 21.0 if known else np.nan])
 
 
-def seen(now_s: float, degc: FloatArray, jump_k: FloatArray, *, returned: bool = False) -> BelievedValues:
-    """Believed values of three sensors, of which the first may have returned."""
-    back = np.array([returned, False, False])
-    nothing = np.zeros(3, dtype=bool)
-    at_s = np.full(3, now_s)
+def seen(now_s: float, degc: FloatArray, jump_k: FloatArray | None = None, returned: int = 0) -> BelievedValues:
+    """Believed values of all sensors, of which so many, the first, have returned."""
+    nothing = np.zeros(len(degc), dtype=np.bool_)
     return BelievedValues(
         now_s=now_s,
-        indices=np.arange(3),
+        indices=np.arange(len(degc)),
         degc=degc,
-        returned=back,
+        returned=np.arange(len(degc)) < returned,
         new_level=nothing,
-        jump_k=jump_k,
+        jump_k=np.zeros(len(degc)) if jump_k is None else jump_k,
         stale=nothing,
-        at_s=at_s,
+        at_s=np.full(len(degc), now_s),
     )
 
 
-def back_at_a_doubted_level() -> SensorLevels:
-    """Levels after the first of three sensors has come back 3 K off."""
-    still = np.zeros(3)
-    levels = with_past(first_levels(3), np.array([20.0, np.nan, np.nan]), np.array([0.0, -np.inf, -np.inf]))
-    levels = renewed_levels(
-        levels, np.zeros(3, dtype=np.intp), seen(100.0, np.array([23.0, 20.0, 20.0]), still, returned=True)
-    )
-    assert levels.away_s == {0: 0.0} and doubted(levels).tolist() == [True, False, False]
+def back_at_a_doubted_level(back: int = 1, count: int = 3) -> SensorLevels:
+    """Levels after the first of some sensors have come back 3 K off."""
+    here = np.arange(count) < back
+    levels = with_past(first_levels(count), np.where(here, 20.0, np.nan), np.where(here, 0.0, -np.inf))
+    levels = renewed_levels(levels, np.arange(count), seen(100.0, np.where(here, 23.0, 20.0), returned=back))
+    assert levels.away_s == dict.fromkeys(range(back), 0.0) and doubted(levels).tolist() == here.tolist()
     return levels
+
+
+def test_of_a_whole_line_that_came_back_wrong_and_is_right_again_nothing_is_known_meanwhile() -> None:
+    levels, line = back_at_a_doubted_level(130, 200), np.arange(200) < 130
+    levels = renewed_levels(levels, np.arange(200), seen(500.0, np.full(200, 20.0), np.where(line, -3.0, 0.0)))
+    assert not doubted(levels).any() and sorted(undone(first_levels(200), levels)) == [*range(130)]
+    np.testing.assert_array_equal(unshifted(levels, 300.0, np.full(200, 23.0)), np.where(line, np.nan, 23.0))
+
+
+def test_a_machine_whose_sensors_all_jump_and_jump_back_is_told_of_the_past_as_it_was() -> None:
+    levels, count = first_levels(302), 302
+    for now_s, degc, jump_k in ((0.0, 20.0, 0.0), (100.0, 22.0, 2.0), (200.0, 20.0, -2.0)):
+        levels = renewed_levels(levels, np.arange(count), seen(now_s, np.full(count, degc), np.full(count, jump_k)))
+    np.testing.assert_allclose(unshifted(levels, 50.0, np.full(count, 20.0)), 20.0)
+    np.testing.assert_allclose(unshifted(levels, 150.0, np.full(count, 22.0)), 20.0)
 
 
 def test_a_sensor_that_jumps_and_is_where_it_was_when_a_person_trusted_it_makes_nothing_unknown() -> None:
@@ -62,7 +74,7 @@ def test_a_sensor_that_jumps_and_is_where_it_was_when_a_person_trusted_it_makes_
     assert not doubted(levels).any()
     for now_s, degc, jump_k in ((1e6, 25.0, 2.0), (1e6 + 60.0, 23.0, -2.0)):
         jumped = np.array([jump_k, 0.0, 0.0])
-        levels = renewed_levels(levels, np.zeros(3, dtype=np.intp), seen(now_s, np.array([degc, 20.0, 20.0]), jumped))
+        levels = renewed_levels(levels, np.arange(3), seen(now_s, np.array([degc, 20.0, 20.0]), jumped))
     assert levels.gaps == () and [by_k for *_, by_k in levels.jumps] == [2.0, -2.0]
 
 
