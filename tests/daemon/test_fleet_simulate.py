@@ -62,6 +62,9 @@ def test_the_command_says_what_arrived(server: Server, tmp_path: Path) -> None:
     assert rows["stored"] == rows["acknowledged"] == rows["sent"] == rows["recorded"] > 100
     assert rows["lost"] == rows["duplicates"] == rows["waiting"] == 0
     assert 0.0 <= said["lag_s"]["p50"] <= said["lag_s"]["p99"] and said["cpu_s"] > 0.0
+    plan_of(tmp_path, 1, 1.0, 60.0, dsn_of(server, PASSWORD))
+    just_now = "SELECT count(*) FROM toolpoint.deliveries WHERE delivered > now() - interval '1 minute'"
+    assert server.ask(just_now) == [(0,)], "the next run's new stores wait for nobody"
 
 
 @pytest.mark.parametrize(
