@@ -302,7 +302,7 @@ def _judged(
         if abs(off_k) <= near_k:
             continue
         if before_k != 0.0 and abs(before_k + off_k) <= near_k:
-            shift_k[index], uncertainty_k[index] = 0.0, 0.0
+            shift_k[index], uncertainty_k[index] = 0.0, uncertainty_k[index] if index in away_s else 0.0
         elif before_k == 0.0 != uncertainty_k[index] and abs(uncertainty_k[index] + off_k) <= near_k:
             uncertainty_k[index] = 0.0
         elif not (seen.returned[place] and seen.new_level[place]):

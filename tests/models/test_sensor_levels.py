@@ -1,5 +1,7 @@
 """What a sensor's level says of the past."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -81,3 +83,14 @@ def test_a_sensor_that_jumps_and_is_where_it_was_when_a_person_trusted_it_makes_
 def test_a_sensor_that_is_doubted_since_the_reference_stays_so_whoever_trusts_the_temperatures_of_then() -> None:
     levels = trusted(back_at_a_doubted_level())
     assert levels.away_s == {0: 0.0} and doubted(levels).tolist() == [True, False, False]
+
+
+def test_a_sensor_that_goes_back_from_a_third_level_to_a_doubted_one_is_doubted() -> None:
+    levels, still = back_at_a_doubted_level(), np.full(3, 20.0)
+    gone = replace(seen(200.0, np.array([np.nan, 20.0, 20.0])), stale=np.array([True, False, False]))
+    levels = renewed_levels(levels, np.arange(3), gone)
+    far = replace(seen(300.0, still + [20.0, 0.0, 0.0], returned=1), new_level=np.array([True, False, False]))
+    levels = renewed_levels(levels, np.arange(3), far)
+    assert levels.shift_k[0] == pytest.approx(17.0)
+    levels = renewed_levels(levels, np.arange(3), seen(400.0, still + [3.0, 0.0, 0.0], np.array([-17.0, 0.0, 0.0])))
+    assert levels.shift_k[0] == 0.0 and abs(levels.uncertainty_k[0]) >= 3.0
