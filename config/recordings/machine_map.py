@@ -1,8 +1,10 @@
 """Which recording is of which machine, and where each machine's configuration says that its sensors sit."""
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from hashlib import file_digest
 from pathlib import Path
 
 from pydantic import Field
@@ -50,7 +52,7 @@ def load_machine_map(path: Path, recordings: Sequence[Path]) -> tuple[MachineFil
     """Return the machines of a map with their recordings.
 
     Raises ConfigurationError with file and key: what `MachineMap` refuses, a name or pattern without a recording, a
-    recording of two machines or of none, a machine without a configuration.
+    recording of two machines or of none or given twice, a machine without a configuration.
 
     `path`: the map. `recordings`: all recordings.
     """
@@ -63,6 +65,7 @@ def load_machine_map(path: Path, recordings: Sequence[Path]) -> tuple[MachineFil
         problems.append(Problem(file=str(path), line=0, column=0, key=f"machines.{name}.{key}", sentence=sentence))
 
     owners: dict[str, str] = {}
+    twins = _copies(whole)
     found: list[MachineFiles] = []
     for name, entry in one.machines.items():
         own: list[str] = []
@@ -75,6 +78,9 @@ def load_machine_map(path: Path, recordings: Sequence[Path]) -> tuple[MachineFil
         for file in own:
             if (other := owners.setdefault(file, name)) != name:
                 refuse(name, "recordings", f"{whole[file].name} is a recording of {other} already")
+            if file in twins:
+                again = f"{whole[file]} holds the same as {twins[file]}"
+                refuse(name, "recordings", f"{again}: what is left out must not be known from elsewhere; give it once")
         configuration, columns = entry.configuration or one.configuration, entry.map or one.map
         if configuration is None:
             refuse(name, "configuration", "names none, so nobody knows where its sensors sit; name its toolpoint.yaml")
@@ -93,6 +99,20 @@ def load_machine_map(path: Path, recordings: Sequence[Path]) -> tuple[MachineFil
     if problems:
         raise ConfigurationError(problems)
     return tuple(found)
+
+
+def _copies(recordings: Mapping[str, Path]) -> dict[str, Path]:
+    """Return the recordings that hold what an earlier one holds too, and that one. Only files of one size are read."""
+    sizes = Counter(path.stat().st_size for path in recordings.values())
+    first: dict[bytes, Path] = {}
+    found = {}
+    for file, path in recordings.items():
+        if sizes[path.stat().st_size] > 1:
+            with path.open("rb") as content:
+                earlier = first.setdefault(file_digest(content, "sha256").digest(), path)
+            if earlier is not path:
+                found[file] = earlier
+    return found
 
 
 def sensors_of(configuration: Path) -> dict[int, SensorConfig | SourceSensorConfig]:

@@ -51,7 +51,7 @@ def test_a_type_is_learned_and_told_on_machines_that_were_left_out(fleet: Path) 
         none, one = machine["left_out"]
         assert (none["recordings"], one["recordings"], none["tested_on"]) == (0, 1, 2)
         assert none["rmse_um"]["alone"] is None and set(one["rmse_um"]["alone"]) == {"Y1", "Y2", "Z1", "Z2", "Z3"}
-        assert one["taken_over"] == "a combination of the fleet's models"
+        assert one["taken_over"] == "a combination of the fleet's models" and machine["warnings"] == []
     none, one = found["left_out"]
     assert none["with_prior"]["worst"] > 0.5 and one["with_prior"]["mean"] > one["alone"]["mean"]
     assert (fleet / "type.json").stat().st_size > 10_000
@@ -87,6 +87,31 @@ def test_a_map_that_does_not_fit_is_refused_with_file_and_key(fleet: Path, chang
         write_map(fleet)
     assert result.exit_code == 2 and said in result.output, result.output
     assert str(path) in result.output or "machine a" in result.output
+
+
+def test_a_copy_of_a_recording_is_refused(fleet: Path, tmp_path: Path) -> None:
+    """A machine that is left out would be known from its copy."""
+    shutil.copytree(fleet, tmp_path / "fleet")
+    shutil.copy(fleet / "m1" / "day02.csv", tmp_path / "fleet" / "m4" / "day09.csv")
+    result = train(tmp_path / "fleet")
+    assert result.exit_code == 2 and "machines.mill-4.recordings" in result.output
+    assert "m4/day09.csv holds the same as" in result.output and "m1/day02.csv" in result.output
+
+
+def test_a_machine_that_the_others_contradict_is_named(fleet: Path, tmp_path: Path) -> None:
+    shutil.copytree(fleet, tmp_path / "fleet")
+    for path in (tmp_path / "fleet" / "m4").glob("*.csv"):
+        comment, head, *rows = path.read_text().splitlines()
+        at = head.split(",").index("Z1")
+        cells = [row.split(",") for row in rows]
+        turned = [",".join([*row[:at], str(-float(row[at])), *row[at + 1 :]]) for row in cells]
+        path.write_text("\n".join([comment, head, *turned]) + "\n")
+    result = train(tmp_path / "fleet", MACHINES, "--json", "-")
+    assert result.exit_code == 0, result.output
+    warnings = {machine["machine"]: machine["warnings"] for machine in json.loads(result.stdout)["machines"]}
+    assert "what the other machines know makes it worse than nothing (Z1 -" in warnings["mill-4"][0]
+    assert "reversed" in warnings["mill-4"][0] and "Y1" not in warnings["mill-4"][0]
+    assert "warning: mill-4: what the other machines know" in result.stderr
 
 
 def test_a_sensor_that_no_configuration_knows_is_refused_with_file_and_column(fleet: Path, tmp_path: Path) -> None:

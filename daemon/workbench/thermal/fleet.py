@@ -37,6 +37,8 @@ from models.thermal.training.making import sensor_ids_from_names
 
 MOST_SAMPLED = 8
 """So many machines, evenly spread, tell the directions of their type; only these are read twice."""
+WORSE = 1.1
+"""Errors that grow to this times what they are without a model are told."""
 RETRIES = 3
 """A task whose worker is lost is done again, so often."""
 
@@ -236,6 +238,9 @@ def _summary(
 def summary(result: FleetTraining, path: Path | None) -> dict[str, Any]:
     """Return what was learned, and how good it is on machines that were left out, for JSON."""
     made = result.machine_type
+    left_out = {
+        one.machine: [each for each in result.left_out if each.machine == one.machine] for one in result.summaries
+    }
     return {
         "type": {
             "file": None if path is None else str(path),
@@ -253,13 +258,30 @@ def summary(result: FleetTraining, path: Path | None) -> dict[str, Any]:
                 "recordings": one.recordings,
                 "stale_recordings": one.stale,
                 "own_model": one.how,
-                "warnings": list(one.warnings),
-                "left_out": [_left_out(each, made.channels) for each in result.left_out if each.machine == one.machine],
+                "warnings": [*one.warnings, *_contradicted(left_out[one.machine], made.channels)],
+                "left_out": [_left_out(each, made.channels) for each in left_out[one.machine]],
             }
             for one in result.summaries
         ],
         "left_out": _together(result.left_out),
     }
+
+
+def _contradicted(left_out: Sequence[LeftOut], channels: tuple[str, ...]) -> list[str]:
+    """Return a sentence where the mean of the other machines is worse than nothing on one that was left out."""
+    worse = [
+        f"{name} {1.0 - left_um / without_um:.0%}"
+        for one in left_out
+        if one.recordings == 0
+        for name, without_um, left_um in zip(channels, one.without_um, one.with_prior_um, strict=True)
+        if left_um > WORSE * without_um > 0.0
+    ]
+    if not worse:
+        return []
+    return [
+        f"what the other machines know makes it worse than nothing ({', '.join(worse)} of the error gone): channels "
+        "may be reversed or swapped, or it is of another type: train once without it, and see whether the others gain"
+    ]
 
 
 def _left_out(one: LeftOut, channels: tuple[str, ...]) -> dict[str, Any]:
