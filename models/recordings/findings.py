@@ -8,6 +8,7 @@ import numpy as np
 
 from models.align import contiguous_runs
 from models.recordings.dataset import DatasetError, Recording
+from models.recordings.exchanged_sensors import Exchange, exchanges
 from models.recordings.plausibility import (
     HIGHEST_DEGC,
     LOWEST_DEGC,
@@ -110,8 +111,12 @@ def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording],
     together = sum(recording.rows for recording in recordings)
     warnings = said_together([(r.name, str(finding)) for r in recordings for finding in require_usable(r, together)])
     possible = [recording.without_impossible() for recording in recordings]
-    disagreeing = [
-        f"{possible[found.recording].name}: {_disagreement(possible, found)}" for found in disagreements(possible)
+    exchanged = exchanges(possible)
+    known = {sensor for found in exchanged for sensor in found.sensors}
+    disagreeing = [f"{possible[found.first].name}: {_exchange(possible, found)}" for found in exchanged]
+    disagreeing += [
+        f"{possible[found.recording].name}: {_disagreement(possible, found)}"
+        for found in disagreements(possible, known)
     ]
     return possible, (*disagreeing, *_rises(possible), *warnings)
 
@@ -143,6 +148,20 @@ def said_together(sentences: Sequence[tuple[str, str]]) -> list[str]:
 def _listed(names: Sequence[str]) -> str:
     rest = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
     return ", ".join(names[:MOST_NAMED]) + rest
+
+
+def _exchange(recordings: Sequence[Recording], found: Exchange) -> Finding:
+    """Return what is said of two sensors that were exchanged."""
+    names = recordings[found.first].temperature_names
+    one, other = (names[sensor] for sensor in found.sensors)
+    as_before = f"from this recording on what {other} did before, and {other} what {one} did"
+    as_elsewhere = f"in this recording alone what {other} does in the others, and {other} what {one} does"
+    does = as_elsewhere if found.alone else as_before
+    sentence = (
+        f"does {does} ({found.by_k:.2g} K off): the two seem to be exchanged. Look where their cables go, and exchange "
+        "the two names in the header of the files that are wrong, or train without those files (--without)"
+    )
+    return _warning(one, None, sentence)
 
 
 def _disagreement(recordings: Sequence[Recording], found: Disagreement) -> Finding:

@@ -7,7 +7,7 @@ still while the others say that it moved, is named. One that is named does not p
 others in.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,28 +57,31 @@ class Disagreement:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Part:
+class Part:
+    """A stretch of a recording."""
+
     recording: int
     rows: slice
     centred_k: FloatArray
     """Temperatures minus their means, shape (n, n_sensors)."""
 
 
-def disagreements(recordings: Sequence[Recording]) -> list[Disagreement]:
+def disagreements(recordings: Sequence[Recording], without: Collection[int] = ()) -> list[Disagreement]:
     """Return what contradicts the rest, the worst first; nothing where there are too few sensors or rows to tell.
 
-    `recordings`: with the same columns, without values that cannot be.
+    `recordings`: with the same columns, without values that cannot be. `without`: sensors of which is known already
+    that something is wrong (indices from 0).
     """
     if not recordings or recordings[0].sensors < 3:
         return []
     if any(r.temperature_names != recordings[0].temperature_names for r in recordings):
         return []
     averaged = [recording.downsampled(SAMPLE_S) for recording in recordings]
-    parts = _parts(averaged)
+    parts = parts_of(averaged, 1 if len(averaged) >= FEWEST_PARTS else PARTS)
     if len(parts) < FEWEST_PARTS:
         return []
     found: list[Disagreement] = []
-    trusted = [i for i in range(recordings[0].sensors) if any(np.ptp(part.centred_k[:, i]) > 0.0 for part in parts)]
+    trusted = [sensor for sensor in moving(parts) if sensor not in without]
     while len(trusted) >= 3 and len(found) < MOST_NAMED:
         residuals = _left_out(parts, trusted)
         worst = _worst(recordings, averaged, parts, residuals, trusted)
@@ -89,8 +92,14 @@ def disagreements(recordings: Sequence[Recording]) -> list[Disagreement]:
     return found
 
 
-def _parts(averaged: Sequence[Recording]) -> list[_Part]:
-    pieces = 1 if len(averaged) >= FEWEST_PARTS else PARTS
+def moving(parts: Sequence[Part]) -> list[int]:
+    """Return which sensors ever move (indices from 0)."""
+    sensors = range(parts[0].centred_k.shape[1] if parts else 0)
+    return [sensor for sensor in sensors if any(np.ptp(part.centred_k[:, sensor]) > 0.0 for part in parts)]
+
+
+def parts_of(averaged: Sequence[Recording], pieces: int) -> list[Part]:
+    """Return each recording in so many parts, those without enough rows left out."""
     found = []
     for number, recording in enumerate(averaged):
         degc = recording.temperatures_degc[:, : recording.sensors]
@@ -101,11 +110,11 @@ def _parts(averaged: Sequence[Recording]) -> list[_Part]:
             known = np.isfinite(table)
             mean = np.where(known, table, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
             centred = np.where(known, table - mean, 0.0)
-            found.append(_Part(recording=number, rows=slice(int(rows[0]), int(rows[-1]) + 1), centred_k=centred))
+            found.append(Part(recording=number, rows=slice(int(rows[0]), int(rows[-1]) + 1), centred_k=centred))
     return found
 
 
-def _left_out(parts: Sequence[_Part], sensors: Sequence[int]) -> list[FloatArray]:
+def _left_out(parts: Sequence[Part], sensors: Sequence[int]) -> list[FloatArray]:
     """Return what each sensor leaves in each part when the others predict it by a fit of the other parts [K]."""
     tables = [part.centred_k[:, sensors] for part in parts]
     squares = [table.T @ table for table in tables]
@@ -121,7 +130,7 @@ def _left_out(parts: Sequence[_Part], sensors: Sequence[int]) -> list[FloatArray
 def _worst(
     recordings: Sequence[Recording],
     averaged: Sequence[Recording],
-    parts: Sequence[_Part],
+    parts: Sequence[Part],
     residuals: Sequence[FloatArray],
     sensors: Sequence[int],
 ) -> Disagreement | None:
@@ -143,7 +152,7 @@ def _worst(
     return Disagreement(recording=parts[place].recording, sensor=sensors[column], row=None, stuck_h=0.0, by_k=by_k)
 
 
-def _times_usual(parts: Sequence[_Part], place: int, sensors: Sequence[int]) -> FloatArray:
+def _times_usual(parts: Sequence[Part], place: int, sensors: Sequence[int]) -> FloatArray:
     """Return how many times as much as in the others each sensor leaves in a part, which no fit has seen."""
     others = [part for number, part in enumerate(parts) if number != place]
     usual_k = np.median([np.sqrt(np.square(each).mean(axis=0)) for each in _left_out(others, sensors)], axis=0)
@@ -151,7 +160,7 @@ def _times_usual(parts: Sequence[_Part], place: int, sensors: Sequence[int]) -> 
     return np.asarray(left_k / np.maximum(usual_k, PENALTY_K))
 
 
-def _culprit(parts: Sequence[_Part], place: int, ratio: FloatArray, sensors: Sequence[int]) -> int | None:
+def _culprit(parts: Sequence[Part], place: int, ratio: FloatArray, sensors: Sequence[int]) -> int | None:
     """Return the sensor without which the others agree again in a part; None where no single one is to blame."""
     best, least = None, AGREES_AGAIN * float(np.sort(ratio)[-2:].mean())
     for column in np.argsort(-ratio)[:MOST_SUSPECTED].tolist():
@@ -165,7 +174,7 @@ def _culprit(parts: Sequence[_Part], place: int, ratio: FloatArray, sensors: Seq
 def _stuck(
     recordings: Sequence[Recording],
     averaged: Sequence[Recording],
-    parts: Sequence[_Part],
+    parts: Sequence[Part],
     residuals: Sequence[FloatArray],
     sensors: Sequence[int],
     usual_k: FloatArray,
