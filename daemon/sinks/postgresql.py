@@ -27,12 +27,18 @@ CONVERSIONS: Mapping[str, Callable[[Any], Any]] = {
     "outcome": lambda code: WriteOutcome(code).name.lower(),
 }
 
-OTHERS = """
-SELECT count(*) FROM deliveries
-WHERE machine = %s AND generation NOT IN ('', %s) AND delivered BETWEEN now() - interval '1 minute' AND now()
-AND NOT EXISTS (SELECT 1 FROM pg_stat_activity WHERE application_name = %s)
+DELIVERED = """
+INSERT INTO deliveries (machine, stream, generation, last_row, last_chunk, newest) VALUES (%s, %s, %s, %s, %s, %s)
+ON CONFLICT (machine, stream) DO UPDATE SET generation = excluded.generation, last_row = excluded.last_row,
+    last_chunk = excluded.last_chunk, newest = excluded.newest, delivered = now()
+RETURNING (
+    SELECT count(*) FROM deliveries AS other
+    WHERE other.machine = deliveries.machine AND other.generation NOT IN ('', deliveries.generation)
+    AND other.delivered BETWEEN now() - interval '1 minute' AND now()
+)
 """
-"""Streams of this machine that another store has brought just now; where a plant's store works it is not known who."""
+"""Says how many streams of this machine another store has brought in the last minute."""
+STORES = "SELECT count(*) FROM pg_stat_activity WHERE application_name = %s"
 
 
 class PostgresqlSink:
@@ -81,17 +87,10 @@ class PostgresqlSink:
         convert = [CONVERSIONS.get(name) for name in stream.columns]
         rows = ((self._machine, *(c(v) if c else v for c, v in zip(convert, row, strict=True))) for row in batch.rows)
         with self._database.transaction() as connection:
-            if connection.execute(OTHERS, (self._machine, generation, STORE)).fetchone() != (0,):
-                raise self._database.problem(name_taken(self._machine))
             stored = self._database.put(stream, rows, {row[0] // DAY_MS for row in batch.rows})
-            connection.execute(
-                "INSERT INTO deliveries (machine, stream, generation, last_row, last_chunk, newest) "
-                "VALUES (%s, %s, %s, %s, %s, %s) ON CONFLICT (machine, stream) DO UPDATE SET "
-                "generation = excluded.generation, last_row = excluded.last_row, last_chunk = excluded.last_chunk, "
-                "newest = excluded.newest, delivered = now()",
-                (
-                    *(self._machine, stream.name, generation, batch.after.row, batch.after.chunk),
-                    EPOCH + timedelta(seconds=batch.newest_utc_s),
-                ),
-            )
+            position = batch.after.row, batch.after.chunk, EPOCH + timedelta(seconds=batch.newest_utc_s)
+            others = connection.execute(DELIVERED, (self._machine, stream.name, generation, *position)).fetchone()
+            # Where a plant's store works too, it may be that one which has brought them.
+            if others != (0,) and connection.execute(STORES, (STORE,)).fetchone() == (0,):
+                raise self._database.problem(name_taken(self._machine))
         return stored
