@@ -23,6 +23,7 @@ from daemon.backup.names import existing_backups
 from daemon.history.writer import HistoryWriter
 from daemon.model_release.repository import proposals_folder
 from daemon.snapshots import JobSnapshot
+from daemon.telemetry.metrics import give_memory_back
 
 log = structlog.get_logger(__name__)
 LOOK_PERIOD_S = 600
@@ -195,6 +196,7 @@ async def _tidy(history: HistoryWriter, config: HistoryConfig) -> None:
     try:
         async with asyncio.timeout(HOUSEKEEPING_WITHIN_S):
             await history.request_housekeeping(config)
+        await asyncio.to_thread(give_memory_back)  # what was free between what is kept, else 1 MiB after a day
     except TimeoutError:
         history.housekeeping.put_off(f"it was ended because it took longer than {HOUSEKEEPING_WITHIN_S / 60.0:g} min")
 

@@ -29,9 +29,12 @@ from daemon.simulation import SimulationError
 from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.opcua.certificates import create_application_certificate
 
-FIRST_LEAD_S = 4.0
-"""The simulated time starts this long after the processes [s]; doubled when they were not ready."""
+LEAD_PER_LOADING = 2.5
+"""The simulated time starts when the daemon is ready, after so many times what the simulated machine took to load:
+a busy computer needs longer for both. Doubled when they were not ready."""
+LEAST_LEAD_S = 2.5
 MOST_LEADS = 4
+LOADED_WITHIN_S = 60.0
 REQUEST_REAL_S = 2.0
 """A request of the NC program waits at least this long for its answer [s of the wall clock]."""
 LOOK_AHEAD = 1.5
@@ -204,11 +207,10 @@ def start_simulation(
     simulate_arguments: Sequence[str], config_path: Path, *, speed: float, epoch_utc_s: float, directory: Path
 ) -> Iterator[RunningSimulation]:
     """Start both processes so that the daemon is ready before the simulated time begins, and stop them."""
-    lead_s = FIRST_LEAD_S
     with _ended_by_signals():
-        for _ in range(MOST_LEADS):
-            epoch_real_s = time.monotonic() + lead_s
-            running = _start(simulate_arguments, config_path, speed, epoch_real_s, epoch_utc_s, directory)
+        for times in range(MOST_LEADS):
+            lead = LEAD_PER_LOADING * 2**times
+            running = _start(simulate_arguments, config_path, speed, lead, epoch_utc_s, directory)
             try:
                 if running is not None:
                     yield running
@@ -216,8 +218,7 @@ def start_simulation(
             finally:
                 if running is not None:
                     _stop(running)
-            lead_s *= 2
-    raise SimulationError(f"daemon and simulated machine were not ready within {lead_s / 2:.0f} s")
+    raise SimulationError(f"daemon and simulated machine were not ready in {MOST_LEADS} starts: end other programs")
 
 
 @contextlib.contextmanager
@@ -242,18 +243,23 @@ def _start(
     simulate_arguments: Sequence[str],
     config_path: Path,
     speed: float,
-    epoch_real_s: float,
+    lead: float,
     epoch_utc_s: float,
     directory: Path,
 ) -> RunningSimulation | None:
-    clock = f"{epoch_real_s!r}:{epoch_utc_s!r}:{speed!r}"
+    """Start both, the time `lead` times the loading of the simulated machine later; None when they were not ready."""
     toolpoint = [sys.executable, "-P", "-m", "daemon.cli"]
-    common = ["--config", str(config_path), "--simulated-clock", clock]
+    config = ["--config", str(config_path)]
     configuration = load_configuration(config_path)
     keys = ["--server-key", str(directory / "cnc.pem")] if configuration.cnc.connection.encrypted else []
+    began_s = time.monotonic()
     with (directory / "simulator.log").open("ab") as log:
         simulator = subprocess.Popen(
-            [*toolpoint, "simulate", *common, "--directory", str(directory), *keys, *simulate_arguments],
+            [
+                *(*toolpoint, "simulate", *config, "--simulated-clock", "-"),
+                *("--directory", str(directory), *keys, *simulate_arguments),
+            ],
+            stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=log,
             text=True,
@@ -262,10 +268,14 @@ def _start(
     threading.Thread(target=_collect, args=(simulator, reports), daemon=True).start()
     started: list[subprocess.Popen[Any]] = [simulator]
     try:
-        while not reports and simulator.poll() is None and time.monotonic() < epoch_real_s:
-            time.sleep(0.02)
+        _wait_for_reports(1, reports, simulator, began_s + LOADED_WITHIN_S)
+        loaded_s = time.monotonic()
+        epoch_real_s = loaded_s + max(LEAST_LEAD_S, lead * (loaded_s - began_s))
+        clock = f"{epoch_real_s!r}:{epoch_utc_s!r}:{speed!r}"
+        _tell(simulator, clock)
+        _wait_for_reports(2, reports, simulator, epoch_real_s)
         with (directory / "daemon.log").open("ab") as log:
-            daemon = subprocess.Popen([*toolpoint, "run", *common], stdout=log, stderr=log)
+            daemon = subprocess.Popen([*toolpoint, "run", *config, "--simulated-clock", clock], stdout=log, stderr=log)
         started.append(daemon)
         client = _connect(configuration.service.socket, daemon, epoch_real_s)
         running = RunningSimulation(configuration, simulator, daemon, client, epoch_real_s, speed, reports)
@@ -282,6 +292,19 @@ def _start(
         raise
     _kill(*started)
     return None
+
+
+def _tell(simulator: "subprocess.Popen[str]", clock: str) -> None:
+    assert simulator.stdin is not None
+    with contextlib.suppress(BrokenPipeError), simulator.stdin as file:  # it has ended, which is found out next
+        file.write(clock + "\n")
+
+
+def _wait_for_reports(
+    count: int, reports: list[dict[str, Any]], simulator: "subprocess.Popen[str]", until_s: float
+) -> None:
+    while len(reports) < count and simulator.poll() is None and time.monotonic() < until_s:
+        time.sleep(0.02)
 
 
 def _connect(path: Path, daemon: "subprocess.Popen[bytes]", until_s: float) -> ControlClient:

@@ -38,7 +38,7 @@ from drivers.contract import DriverError
     "--simulated-clock",
     metavar="REAL:UTC:SPEED",
     help="The machine alone, for a daemon on the same clock: monotonic and calendar second at which simulated time "
-    "is 0, and its speed.",
+    "is 0, and its speed; '-' reads them from standard input.",
 )
 @option(
     "--minutes", type=POSITIVE, help="One's own machine: simulated minutes until it ends; left out: Ctrl-C ends it."
@@ -108,12 +108,15 @@ def simulate(
         refuse("--simulated-clock needs --directory with a folder that exists")
     configuration = read_configuration(config_path)
     configure_logging(configuration.service.log_level)
-    clock = parse_simulated_clock(simulated_clock)
 
     def report(content: dict[str, Any]) -> None:
         sys.stdout.write(json.dumps(content) + "\n")
         sys.stdout.flush()
 
+    if simulated_clock == "-":
+        report({"loaded": True})
+        simulated_clock = sys.stdin.readline().strip()
+    clock = parse_simulated_clock(simulated_clock)
     try:
         if packs_path is not None:
             work = packed_simulation(configuration, clock, packs_path, report)

@@ -34,6 +34,7 @@ from daemon.simulation.faults.virtual_cnc import VirtualCnc
 from daemon.simulation.faults.virtual_time import VirtualClock, VirtualLoop
 from daemon.simulation.faults.virtual_world import Channel, VirtualReader, VirtualWorld
 from daemon.telemetry.logs import configure_logging
+from daemon.telemetry.metrics import give_memory_back
 from drivers.clock import Clock
 from drivers.contract import DisplacementSource, TemperatureSource
 from drivers.displacement.source import DisplacementCsvSource
@@ -93,6 +94,7 @@ class VirtualHousekeeping:
         while True:
             await asyncio.sleep(HOUSEKEEPING_S)
             await self._history.request_housekeeping(self._config)
+            give_memory_back()
 
 
 class CampaignDaemon:
