@@ -5,7 +5,7 @@ possible, and so is each one that stands; that all of them stand is told by how 
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,11 @@ REMEMBERED = 200
 """How often numbers change is the mean of so many readings."""
 FEWEST = 180
 """It is judged from so many readings on."""
+BLOCK = 20
+"""Of so many readings in a row, those in which it changed least often count: numbers that are rounded to tenths of a
+kelvin or more change again and again where they lie between two steps, and stand for minutes where they do not."""
+FORGOTTEN = 0.003
+"""By this share of the difference such a block is forgotten with each one after it: within a day."""
 MOST_CHANGING = 0.9
 """A share above it is taken for this: a few readings alike are no proof."""
 IMPROBABLE = 14.0
@@ -32,6 +37,10 @@ class StandingInput:
     readings: int = 0
     changing: float = 0.0
     """Share of the readings in which any number changed, of the last ones."""
+    least: float = 1.0
+    """The smallest such share of a block that was no answer from memory."""
+    block: tuple[int, int] = (0, 0)
+    """Of the block that has begun how many readings there were, and in how many of them any number changed."""
     improbable: float = 0.0
     """How improbable it is that the numbers stand as long as they do, natural logarithm."""
     since_s: float = 0.0
@@ -60,16 +69,22 @@ def renewed_input(before: StandingInput, degc: FloatArray, now_s: float) -> Stan
     both = told & np.isfinite(before.degc)
     latest = np.where(told, degc, before.degc)
     if not both.any():
-        return StandingInput(
-            degc=latest, readings=before.readings, changing=before.changing, improbable=0.0, since_s=now_s
-        )
+        return replace(before, degc=latest, improbable=0.0, since_s=now_s)
     changed = bool((degc[both] != before.degc[both]).any())
     share = 1.0 / min(before.readings + 1, REMEMBERED)
-    likely = before.changing if before.readings >= FEWEST else 0.0
+    likely = min(before.changing, before.least) if before.readings >= FEWEST else 0.0
+    least, block = before.least, (before.block[0] + 1, before.block[1] + changed)
+    if changed and before.stands_s(now_s):
+        block = (0, 0)
+    elif changed and block[0] >= BLOCK:
+        kept = least + FORGOTTEN * max(before.changing - least, 0.0)
+        least, block = min(kept, block[1] / block[0]), (0, 0)
     return StandingInput(
         degc=latest,
         readings=before.readings + 1,
         changing=before.changing + share * (float(changed) - before.changing),
+        least=least,
+        block=block,
         improbable=0.0 if changed else before.improbable - math.log1p(-min(likely, MOST_CHANGING)),
         since_s=now_s if changed else before.since_s,
     )

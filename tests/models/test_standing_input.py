@@ -43,6 +43,31 @@ def test_a_machine_that_cools_into_a_quiet_night_answers_from_no_memory(seed):
     assert not fed(np.round(degc / 0.1) * 0.1).any()
 
 
+def warmed(count, step_k, seed):
+    """Eight hours of a machine that runs for four, as sensors with a little noise say it in steps."""
+    rng = np.random.default_rng(seed)
+    constants_min, rises_k = 40.0 * rng.uniform(0.6, 1.6, count), 10.0 * rng.uniform(0.3, 1.2, count)
+    minutes = np.arange(0.0, 480.0, PERIOD_S / 60.0)[:, None]
+    warm = (1.0 - np.exp(-np.minimum(minutes, 240.0) / constants_min)) * np.exp(
+        -np.maximum(minutes - 240.0, 0.0) / constants_min
+    )
+    return np.round((20.0 + rises_k * warm + rng.normal(0.0, 0.02, warm.shape)) / step_k) * step_k
+
+
+def test_a_few_rounded_numbers_that_flicker_between_two_steps_and_then_stand_hardly_ever_answer_from_memory():
+    """Where a temperature lies between two steps they change all the time, and beside that they stand for minutes."""
+    inputs = [(count, step_k, seed) for count, step_k in ((1, 0.5), (2, 0.1), (2, 0.5), (3, 0.5)) for seed in range(6)]
+    told = [one for one in inputs if fed(warmed(*one), StandingInput(degc=np.full(one[0], np.nan))).any()]
+    assert len(told) <= 4, told
+
+
+@pytest.mark.parametrize(("count", "step_k"), [(2, 0.01), (10, 0.1)])
+def test_numbers_that_flickered_all_the_time_are_found_still_after_five_minutes(count, step_k):
+    rows = warmed(count, step_k, 3)[:1080]
+    stood = fed([*rows, *np.tile(rows[-1], (40, 1))], StandingInput(degc=np.full(count, np.nan)))
+    assert not stood[:1080].any() and stood[1080 + 31 :].all()
+
+
 def test_one_that_has_just_begun_or_has_no_value_is_not_judged():
     assert not fed(np.tile([20.0, 21.0, 22.0, 23.0], (400, 1))).any(), "it has never changed"
     rows = noisy(100, 0.0625, 0.02, 3)
