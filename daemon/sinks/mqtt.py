@@ -9,6 +9,7 @@ The cursor moves when the broker has acknowledged a row and the connection has l
 
 import json
 import re
+import time
 from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any
@@ -25,6 +26,8 @@ from daemon.sinks.outbox import STREAMS, Batch, Outbox
 from daemon.sinks.row_messages import row_messages
 
 VERSION = version("toolpoint")
+TELL_AGAIN_S = 300.0
+"""What is retained is published again after this time: others may have written or deleted it."""
 NOT_IN_A_LEVEL = re.compile(r"[/+#%\x00-\x1f\x7f]")
 
 
@@ -45,6 +48,7 @@ class MqttSink:
         self._ahead = Ahead(config.mqtt.resend_s)
         self._freshness = Freshness()
         self._told: dict[str, bytes] = {}
+        self._told_s = time.monotonic()
         self._unread: set[str] = set()
 
     def open(self, cursor: Cursor) -> Mapping[str, Position]:
@@ -90,7 +94,9 @@ class MqttSink:
         return False
 
     def _tell(self, outbox: Outbox) -> None:
-        """Publish what is now and has changed."""
+        """Publish what is now and has changed; now and then all of it."""
+        if time.monotonic() - self._told_s >= TELL_AGAIN_S:
+            self._told, self._told_s = {}, time.monotonic()
         values = current_values(outbox)
         waiting: list[Message] = []
         if self._config.discovery is not None:

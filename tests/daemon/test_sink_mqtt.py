@@ -134,6 +134,30 @@ def test_what_is_now_is_retained_and_home_assistant_is_told(port: int, tmp_path:
         assert content["state_topic"] == f"{base}/state" and content["availability_topic"] == f"{base}/status"
 
 
+def test_what_others_write_or_delete_there_is_told_again(
+    port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As another sink of the same machine does that ends: its farewell says that the machine is offline."""
+    monkeypatch.setattr("daemon.sinks.mqtt.TELL_AGAIN_S", 0.5)
+    store, stop = tmp_path / "h.sqlite", threading.Event()
+    fill(store, hours=0.2)
+    runner = SinkRunner(section(port, history=[]), store, "shared", stop, wait=lambda _duration_s: stop.wait(0.02))
+    sending = threading.Thread(target=runner.run)
+    with subscriber(port, "toolpoint/shared/#") as listener:
+        sending.start()
+        try:
+            wait_until(lambda: listener.last("toolpoint/shared/status") == "online")
+            words = ["mosquitto_pub", "-h", "127.0.0.1", "-p", str(port), "-r", "-t"]
+            subprocess.run([*words, "toolpoint/shared/status", "-m", "offline"], check=True)
+            subprocess.run([*words, "toolpoint/shared/state", "-n"], check=True)
+            listener.until(lambda messages: (False, "toolpoint/shared/state", "") in messages)
+            wait_until(lambda: listener.last("toolpoint/shared/status") == "online")
+            wait_until(lambda: listener.last("toolpoint/shared/state") != "")
+        finally:
+            stop.set()
+            sending.join()
+
+
 def test_a_machine_and_labels_with_odd_names_stay_apart(tmp_path: Path) -> None:
     assert [topic_level(name) for name in ("a/b", "a%2Fb", "+#", "Fr\u00e4se 1")] == [
         "a%2Fb",
