@@ -64,7 +64,7 @@ class MeasuredByNc:
 
     def set_tool(self, axis: str) -> str:
         """Make what is applied the baseline of the tool in the spindle; return why it is refused."""
-        if (unknown := self.tool.inhibit()) is not None:
+        if (unknown := self.tool.unknown()) is not None:
             return f"the tool cannot be set: {unknown}"
         output = self._look()
         if refusal := _tool_setting_refusal(output.memory, output.inputs, self._limits):

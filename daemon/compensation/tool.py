@@ -83,8 +83,12 @@ class ToolInSpindle:
         return self._polled, self.number
 
     def inhibit(self) -> Inhibit | None:
-        """Return why it is not known which tool is in the spindle."""
-        if not self.in_question or not self._references.tools_differ:
+        """Return why it is not known which tool is in the spindle, None where it is, or where it does not matter."""
+        return self.unknown() if self._references.tools_differ else None
+
+    def unknown(self) -> Inhibit | None:
+        """Return why it is not known which tool is in the spindle, None where it is."""
+        if not self.in_question:
             return None
         return Inhibit(
             code=InhibitCode.REFERENCE,

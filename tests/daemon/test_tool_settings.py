@@ -153,3 +153,23 @@ async def test_while_it_is_not_known_which_tool_is_there_none_is_set_and_a_refer
         ask(bench, 7, REFERENCE, 3, 0.0)
         await rig.follow(0.0, 0.0, 10)
         assert answer(bench) == 7.0 and rig.state == "ACTIVE"
+
+
+async def test_nor_is_the_very_first_tool_set_while_it_is_not_known_which_one_is_there(bench):
+    """The program gave up naming T1: its setting would be that of T2, which is followed when T2 comes."""
+    async with running(bench.rig()) as rig:
+        await rig.active(handshake=True)
+        bench.nc.tool_number = 2
+        ask(bench, 1, TOOL_CHANGE, 0, 2.0)
+        await rig.follow(0.0, -3.0, 20)
+        bench.nc.tool_number = 1
+        await rig.follow(0.0, -3.0, 5)
+        ask(bench, 2, REFERENCE, 3, 0.0)
+        await rig.follow(0.0, -3.0, 5)
+        assert rig.state == "ACTIVE" and answer(bench) == -2.0
+        assert "shows T1, and the NC program has named T2" in rig.control.journal.notices[-1]
+        ask(bench, 3, TOOL_CHANGE, 0, 1.0)
+        await rig.follow(0.0, -3.0, 5)
+        ask(bench, 4, REFERENCE, 3, 0.0)
+        await rig.follow(0.0, -3.0, 5)
+        assert answer(bench) == 4.0 and [*rig.control.memory.tools] == [1]
