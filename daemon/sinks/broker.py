@@ -145,6 +145,10 @@ class Broker:
         if granted is not None and granted.is_failure:
             raise SinkError(f"{self._where}: {may_not_subscribe(topic, str(granted))}")
 
+    def unsubscribe(self, topic: str) -> None:
+        """Let the broker send a topic no longer."""
+        self._client.unsubscribe(topic)
+
     def wait_for(self, heard: Callable[[], bool], otherwise: str) -> None:
         """Wait for something that comes; raises SinkError with this text when it does not."""
         with self._changed:

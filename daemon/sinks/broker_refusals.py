@@ -67,7 +67,7 @@ def may_not_subscribe(topic: str, name: str) -> str:
     return f"{name}: `user_name` may not subscribe to {topic}: let it (the broker's access list), or give other topics"
 
 
-def birth_unheard(topic: str) -> str:
+def own_unheard(topic: str) -> str:
     """Return that what was published did not come back: the specification has no acknowledgement for it."""
     return (
         f"{topic} did not come back: let `user_name` publish and subscribe there (the broker's access list), and look "

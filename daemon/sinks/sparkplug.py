@@ -5,8 +5,9 @@
 
 The specification has data without acknowledgement (quality of service 0). So after every batch the subscription to the
 commands is renewed: its acknowledgement comes after all that was sent before. That the broker passes on what the node
-publishes, however large, shows in the births, which come back to it: the device's holds every metric. A batch counts as
-taken when the connection has lasted a while longer. Rows older than what was told at birth are historical.
+publishes, however large, shows in the births and the first data, which come back to it: the device's birth holds every
+metric. A batch counts as taken when the connection has lasted a while longer. Rows older than what was told at birth
+are historical.
 """
 
 import functools
@@ -25,7 +26,7 @@ from config.schema.sinks import SinkConfig
 from daemon.history.cursors import Cursor, Position
 from daemon.sinks.ahead import Ahead
 from daemon.sinks.broker import ALWAYS, AT_ONCE, Broker, Message
-from daemon.sinks.broker_refusals import birth_unheard, primary_host_offline, primary_host_went
+from daemon.sinks.broker_refusals import own_unheard, primary_host_offline, primary_host_went
 from daemon.sinks.contract import Progress, SinkWaitsError
 from daemon.sinks.current import Freshness
 from daemon.sinks.mqtt import topic_level
@@ -41,7 +42,7 @@ NUMBERS = 256
 TOLD_AT_BIRTH = 20
 """So many of the newest rows of each stream make the values of a birth: every line is among them."""
 MOST_UNHEARD = 20
-"""So many births that have not come back are kept."""
+"""So many messages of a topic that have not come back are kept."""
 _sessions: defaultdict[str, Iterator[int]] = defaultdict(itertools.count)
 
 
@@ -85,8 +86,9 @@ class SparkplugSink:
         self._seq = itertools.count()
         self._born = self._alive = False
         """Whether the node and its device were born."""
-        self._unheard: dict[str, tuple[int, ...]] = {self._topic.format("NBIRTH"): (), self._of_device("DBIRTH"): ()}
-        """Topic of births -> hashes of those that have not come back from the broker, the newest last."""
+        births = self._topic.format("NBIRTH"), self._of_device("DBIRTH")
+        self._unheard: dict[str, tuple[int, ...]] = dict.fromkeys((*births, self._of_device("DDATA")), ())
+        """Topic -> hashes of what has not come back from the broker, the newest last; of data that of the first row."""
         self._told: dict[str, Metric] = {}
         """The newest metrics, of which births are made."""
         self._born_ms: dict[str, int] = {}
@@ -120,7 +122,7 @@ class SparkplugSink:
         if not self._born:
             self._learn(outbox)
             self._bear()
-            self._wait_for_births()
+            self._wait_for_own()
         more = False
         for stream in STREAMS.values():
             batch = outbox.batch(stream, self._ahead.position(progress, stream.name))
@@ -170,15 +172,15 @@ class SparkplugSink:
             self._publish(self._of_device("DBIRTH"), self._told.values())
             self._alive = True
 
-    def _wait_for_births(self) -> None:
-        """Wait until the newest births have come back: a broker drops what it does not pass on without a word."""
+    def _wait_for_own(self) -> None:
+        """Wait until what was published last has come back: a broker drops without a word what it does not pass on."""
         for topic, waiting in self._unheard.items():
             if waiting:
                 heard = functools.partial(self._came_back, topic, waiting[-1])
-                self._broker.wait_for(heard, birth_unheard(topic))
+                self._broker.wait_for(heard, own_unheard(topic))
 
-    def _came_back(self, topic: str, birth: int) -> bool:
-        return birth not in self._unheard[topic]
+    def _came_back(self, topic: str, payload: int) -> bool:
+        return payload not in self._unheard[topic]
 
     def _die(self) -> None:
         """Say that nothing is recorded any more."""
@@ -196,13 +198,17 @@ class SparkplugSink:
 
     def _send(self, batch: Batch) -> None:
         """Publish the rows of a batch, each as one message, and wait until the broker has them."""
-        waiting = iter(batch.rows)
-        while rows := list(itertools.islice(waiting, AT_ONCE)):
+        waiting, data = iter(batch.rows), self._of_device("DDATA")
+        while rows := list(itertools.islice(waiting, 1 if data in self._unheard else AT_ONCE)):
             for row in rows:
                 self._send_row(batch, row)
             self._broker.subscribe(self._commands)
             self._broker.check()
-            self._wait_for_births()
+            self._wait_for_own()
+            with self._lock:
+                first = self._unheard.pop(data, None) is not None
+            if first:
+                self._broker.unsubscribe(data)
 
     def _send_row(self, batch: Batch, row: tuple[object, ...]) -> None:
         metrics = row_metrics(batch.stream, row)
@@ -240,9 +246,9 @@ class SparkplugSink:
                     self._bear()
         elif topic in self._unheard:
             with self._lock:
-                waiting = self._unheard[topic]
-                if (birth := hash(content)) in waiting:
-                    self._unheard[topic] = waiting[waiting.index(birth) + 1 :]
+                waiting = self._unheard.get(topic, ())
+                if (payload := hash(content)) in waiting:
+                    self._unheard[topic] = waiting[waiting.index(payload) + 1 :]
         elif self._host is not None and topic == self._host.topic:
             self._host.hear(content)
             if self._born and not self._host.online:

@@ -244,6 +244,19 @@ def test_a_right_that_is_missing_is_named_whatever_is_retained_there(tmp_path: P
         assert "spBv1.0/Else/NBIRTH/mill did not come back: let `user_name` publish" in problem(port, store, "Else")
 
 
+def test_a_right_to_publish_births_alone_is_not_enough(tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.2)
+    rights = "topic read #\ntopic write spBv1.0/Plant/NBIRTH/#\ntopic write spBv1.0/Plant/DBIRTH/#\n"
+    (tmp_path / "acl").write_text(rights)
+    (tmp_path / "acl").chmod(0o600)
+    with mosquitto(tmp_path, "allow_anonymous true", f"acl_file {tmp_path / 'acl'}") as port:
+        said = problem(port, store, "Plant")
+    assert "spBv1.0/Plant/DDATA/mill/Machine did not come back: let `user_name` publish" in said
+    cursor = Cursor.read(cursor_path(store, "scada"))
+    assert cursor is not None and cursor.sent_rows == 0
+
+
 def test_a_broker_that_drops_a_large_birth_takes_no_rows(tmp_path: Path) -> None:
     """It says nothing: what it drops would count as sent."""
     store = tmp_path / "h.sqlite"
