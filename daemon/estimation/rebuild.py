@@ -108,7 +108,7 @@ class HistoryBackfill:
         self, reader: HistoryReader, begin_s: float, end_s: float, period_s: float
     ) -> Iterator[tuple[float, FloatArray, float]]:
         spans = [span for span in self._spans() if span.from_s < end_s and span.until_s > begin_s]
-        rows = [self._rows(reader, span, begin_s, end_s) for span in spans]
+        rows = (self._rows(reader, span, begin_s, end_s) for span in spans)
         at_s, degc, cnc_s, speed_rpm, positions = (np.concatenate(part) for part in zip(*rows, strict=True))
         for last_s in np.arange(begin_s + period_s, end_s + 1e-6, period_s):
             inside = (at_s > last_s - period_s) & (at_s <= last_s)
