@@ -194,5 +194,9 @@ def model_from_text(
     if foreign := sorted(set(of_temperatures) - set(sensor_ids)):
         return None, f"{source}: the model needs sensors that this machine does not have: {foreign[:10]}"
     if lacking := sorted(set(channels) - set(model.channels)):
-        return None, f"{source}: the model has no channel {', '.join(lacking)}; it has {', '.join(model.channels)}"
+        return None, (
+            f"{source}: the model has no channel {', '.join(map(repr, lacking))}; it has "
+            f"{', '.join(map(repr, model.channels))}: let compensation.axes.AXIS.estimate name one of these, as the "
+            "map calls it"
+        )
     return model, ""

@@ -264,8 +264,21 @@ def _checked(configuration: Configuration, content: bytes, source: str) -> tuple
         "the checksum fits the content",
         f"{len(model.test_vectors)} test vectors are met",
         f"sensors and channels are this machine's ({len(model.sensor_ids)} sensors)",
+        *_sensors_by_name(configuration, model),
         f"prediction bands are known and narrow enough: {', '.join(bands)}",
     ]
+
+
+def _sensors_by_name(configuration: Configuration, model: ThermalModel) -> list[str]:
+    """Return what the recordings call each sensor of the machine, where that does not tell its ID."""
+    places = {sensor.id: sensor.component for sensor in configuration.temperatures.every_sensor}
+    named = [
+        (number, name) for number, name in zip(model.sensor_ids, model.sensor_names, strict=True) if number in places
+    ]
+    if all(name.upper() == f"T{number}" for number, name in named):
+        return []
+    said = ", ".join(f"{number} ({places[number]}) as {name!r}" for number, name in named)
+    return [f"it was trained on sensor {said}: the person who releases it answers for that"]
 
 
 def _checked_release(

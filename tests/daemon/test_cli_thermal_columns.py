@@ -69,6 +69,8 @@ def test_with_map_out_a_foreign_csv_becomes_a_model_in_one_go(tmp_path: Path, en
     )
     assert result.exit_code == 0, result.output
     assert "check it" in result.stderr
+    numbered = ", ".join(f"{number} is {name!r}" for number, name in enumerate(NAMES, start=1))
+    assert f"the machine's configuration must give these sensors the same IDs: {numbered}\n" in result.stderr
     made = model(tmp_path / "model.json")
     assert (made.channels, made.sensor_names) == (("Weg Z [µm]",), NAMES)
     evaluated = thermal(

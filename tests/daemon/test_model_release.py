@@ -210,6 +210,15 @@ def test_releases_follow_each_other_and_lead_back(folder):
         rollback(configuration, person="ben", to=77)
 
 
+def test_a_release_says_what_the_recordings_call_each_sensor_where_that_is_not_its_number(folder):
+    plain = release(configured(folder), proposal(folder, model("ridge-1")), person="anna")
+    assert not any("answers for that" in check for check in plain.checks)
+    names = ("Öl Rücklauf [°C]", *model().sensor_names[1:])
+    record = release(configured(folder), proposal(folder, replace(model("ridge-2"), sensor_names=names)), person="anna")
+    (said,) = [check for check in record.checks if "the person who releases it answers for that" in check]
+    assert f"sensor {model().sensor_ids[0]} (" in said and ") as 'Öl Rücklauf [°C]', " in said
+
+
 def test_going_back_needs_somewhere_to_go(folder):
     with pytest.raises(ReleaseError, match="no earlier release"):
         rollback(configured(folder), person="ben")
@@ -227,7 +236,8 @@ def test_what_is_refused_says_why(folder):
     configured(folder)
     good = proposal(folder, model())
     assert "does not fit the content" in refusal(folder, damaged(good, "model_id", "other"))
-    assert "no channel Z1" in refusal(folder, proposal(folder, one_channel()))
+    has_none = refusal(folder, proposal(folder, one_channel()))
+    assert "no channel 'Z1'; it has 'Y1': let compensation.axes.AXIS.estimate name one of these" in has_none
     assert "nothing was held out" in refusal(folder, proposal(folder, model(band_um=np.nan)))
     assert "wider than 30 um" in refusal(folder, proposal(folder, model(band_um=31.0)))
     shares = [1.3 if channel == "Z1" else 0.4 for channel in model().channels]

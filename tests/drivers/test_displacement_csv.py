@@ -70,6 +70,12 @@ async def test_byte_order_mark(path: Path, encoding: str) -> None:
     assert (await read_all(config(path, encoding=encoding), 1))[1] == [[1.5, -2.25]]
 
 
+async def test_a_logger_of_windows_writes_its_own_latin(path: Path) -> None:
+    path.write_bytes("time,Weg – Y [µm],Z1\n2026-01-31T08:00:00,1.5,-2.25\n".encode("cp1252"))
+    channels = [{"name": "Y", "column": "Weg – Y [µm]"}, {"name": "Z", "column": "Z1"}]
+    assert (await read_all(config(path, encoding="cp1252", channels=channels), 1))[1] == [[1.5, -2.25]]
+
+
 async def test_decimal_comma(path: Path) -> None:
     path.write_text("time;Y1;Z1\n2026-01-31T08:00:00;1,5;-,25\n2026-01-31T08:01:00;1.5;2\n")
     follower, values = await read_all(config(path, delimiter=";", decimal=","), 2, problems=1)

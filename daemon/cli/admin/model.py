@@ -100,6 +100,8 @@ def release_command(
         say("no proposal that the policy lets through; `toolpoint model list` shows what waits")
         write_json(json_path, None)
         return
+    for check in record.checks:
+        say(f"checked: {check}")
     _done(record, bearings, json_path)
 
 

@@ -223,6 +223,13 @@ def _chosen_without(chosen: dict[str, Any] | None, remains: float) -> str:
     return f" with the model's members and shares, in which it had a say; had it none, {unseen:.1%} would"
 
 
+def _show_sensors(ids: dict[str, int]) -> None:
+    """Say which ID each sensor has, where its name does not tell it."""
+    if any(name.upper() != f"T{number}" for name, number in ids.items()):
+        numbered = ", ".join(f"{number} is {name!r}" for name, number in ids.items())
+        say(f"the machine's configuration must give these sensors the same IDs: {numbered}")
+
+
 def _show(found: dict[str, Any]) -> None:
     """Write the outcome for people, on standard error."""
     from daemon.workbench.thermal.shortfalls import columns_sentences
@@ -240,6 +247,7 @@ def _show(found: dict[str, Any]) -> None:
     used = f", {found['increments']['used']} increments" if "increments" in found else ""
     chosen = settings_text(found["hyper_parameters"])
     say(f"{model['file']}: {model['model_id']}, {counted(model['sensors'], 'sensor')}{used}, {chosen}")
+    _show_sensors(model["sensor_ids"])
     if found["chosen"] is not None:
         say(f"chosen: {found['chosen']['family']}; {found['chosen']['why']}")
     if found["recordings_left_out"]:

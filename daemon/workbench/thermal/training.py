@@ -126,6 +126,11 @@ def summary(result: FamilyTraining, path: Path) -> dict[str, Any]:
             "model_id": model.model_id,
             "kind": model.kind,
             "sensors": len(model.sensor_ids),
+            "sensor_ids": {
+                name: number
+                for name, number in zip(model.sensor_names, model.sensor_ids, strict=True)
+                if name not in model.axis_positions
+            },
             "band_um": {c: finite_or_none(b) for c, b in zip(model.channels, model.band_um.tolist(), strict=True)},
         },
         "hyper_parameters": result.hyper_parameters,
