@@ -17,9 +17,7 @@ class LoggerFileConfig(Section):
         description="the file, or a pattern such as /srv/logger/*.csv (the newest is followed)",
         examples=["/srv/logger/*.csv"],
     )
-    encoding: Literal["utf-8", "utf-8-sig", "cp932", "latin-1", "cp1252"] = Field(
-        "utf-8-sig", description="text encoding"
-    )
+    encoding: Literal["utf-8", "utf-8-sig", "cp932", "latin-1", "cp1252"] = Field("utf-8-sig", description="encoding")
     delimiter: Literal[",", ";", "\t"] = Field(",", description="between fields")
     decimal: Literal[".", ","] = Field(".", description="decimal mark")
     header: str | None = Field(

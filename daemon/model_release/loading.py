@@ -196,7 +196,6 @@ def model_from_text(
     if lacking := sorted(set(channels) - set(model.channels)):
         return None, (
             f"{source}: the model has no channel {', '.join(map(repr, lacking))}; it has "
-            f"{', '.join(map(repr, model.channels))}: let compensation.axes.AXIS.estimate name one of these, as the "
-            "map calls it"
+            f"{', '.join(map(repr, model.channels))}: let compensation.axes.AXIS.estimate name one of these"
         )
     return model, ""
