@@ -57,7 +57,7 @@ def scripts() -> list[tuple[int, str]]:
     return [(int(each.name.partition("_")[0]), each.read_text(encoding="utf-8")) for each in files]
 
 
-def _key(stream: Stream) -> sql.Composable:
+def key_of(stream: Stream) -> sql.Composable:
     """Return what tells rows of a stream apart: a repeat is left out by that alone, whatever else a table has got."""
     names = ("machine", *(COLUMNS.get(name, name) for name in KEYS[stream.name]))
     as_text = {"text": sql.SQL("md5(text)")}  # the schema's own index of events
@@ -144,7 +144,7 @@ class Database:
                 for row in rows:
                     copy.write_row(row)
             insert = sql.SQL("INSERT INTO {} ({}) SELECT {} FROM {} ON CONFLICT ({}) DO NOTHING")
-            cursor.execute(insert.format(target, columns, columns, staging, _key(stream)))
+            cursor.execute(insert.format(target, columns, columns, staging, key_of(stream)))
             return cursor.rowcount
 
     def _make_partitions(self, table: str, days: Iterable[int]) -> None:

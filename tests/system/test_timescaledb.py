@@ -16,7 +16,7 @@ from psycopg import sql
 from config.schema.sinks import PostgresqlConfig
 from daemon.history.cursors import Position
 from daemon.simulation.processes import free_port
-from daemon.sinks.database import COLUMNS, PARTITIONED, SCHEMA, TABLES, Database, scripts
+from daemon.sinks.database import COLUMNS, PARTITIONED, SCHEMA, TABLES, Database, key_of, scripts
 from daemon.sinks.outbox import STREAMS, Outbox
 from daemon.sinks.postgresql import CONVERSIONS
 
@@ -59,10 +59,11 @@ def test_tables_over_time_are_hypertables_that_hold_every_row_once(config: Postg
                 continue
             target = sql.Identifier(SCHEMA, TABLES.get(stream.name, stream.name))
             names = ["machine", *(COLUMNS.get(name, name) for name in stream.columns)]
-            insert = sql.SQL("INSERT INTO {} ({}) VALUES ({}) ON CONFLICT DO NOTHING").format(
+            insert = sql.SQL("INSERT INTO {} ({}) VALUES ({}) ON CONFLICT ({}) DO NOTHING").format(
                 target,
                 sql.SQL(", ").join(map(sql.Identifier, names)),
                 sql.SQL(", ").join(sql.Placeholder() * len(names)),
+                key_of(stream),
             )
             convert = [CONVERSIONS.get(name, lambda value: value) for name in stream.columns]
             for row in batch.rows * 2:
