@@ -1,7 +1,7 @@
 """The Parquet sink: one file per machine, kind of record and day (UTC), written when the day is over, or not at all.
 
-A day is written again when rows of it come late, always from the store, so that a repeat makes the same file. A file
-with more rows than the store still has of its day is left alone.
+A day is written again when rows of it come late, always from the store, so that a repeat makes the same file. What a
+file has and the store has no longer, or never had, stays in it.
 """
 
 import io
@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 from urllib.parse import quote
@@ -17,7 +18,8 @@ from urllib.parse import quote
 import numpy as np
 import numpy.typing as npt
 import pyarrow
-from pyarrow import fs, parquet
+import structlog
+from pyarrow import compute, fs, parquet
 
 from config.files import write_whole
 from config.schema.sinks import SinkConfig
@@ -30,6 +32,7 @@ from daemon.sinks.contract import Progress, SinkError
 from daemon.sinks.outbox import STREAMS, Outbox, Stream
 from models.quality import Quality, Reason
 
+log = structlog.get_logger(__name__)
 DAY_S = 86_400.0
 GRACE_S = 7200.0
 """A day is written this long after its end: its last writes have found their outcome by then."""
@@ -37,6 +40,7 @@ LOOK_PERIOD_S = 60.0
 LEVEL = 18
 """Of the compression: two seconds of processor time for a day, an eighth less room than 9; 19 takes 40 MiB more."""
 ONE_PAGE = 2**30
+TIME = "time_utc"
 DELTAS = 128
 """So many differences are packed together: times that come again for each sensor begin such a block, to look alike."""
 
@@ -82,15 +86,15 @@ class ParquetSink:
         return False
 
     def _write(self, outbox: Outbox, stream: Stream, day: int) -> int:
-        """Write one day of a stream; return its records, 0 where the file there has more."""
+        """Write one day of a stream; return its records, 0 where the file there has all of them and more."""
         assert self._files is not None
         date = datetime.fromtimestamp(day * DAY_S, UTC).date().isoformat()
         name = f"{stream.name}/machine={quote(self._machine, safe=' ')}/{date}.parquet"
         file = day_file(outbox, stream, day)
         try:
-            if file.rows == 0 or file.rows < self._files.rows(name):
+            if file.rows == 0 or (content := _with_what_is_there(file, partial(self._files.read, name))) is None:
                 return 0
-            self._files.put(name, file.content)
+            self._files.put(name, content)
         except (OSError, pyarrow.ArrowException) as error:
             raise SinkError(f"{self._where}: {name} cannot be written: {error}") from error
         return file.records
@@ -106,8 +110,8 @@ def _waiting(after: Position, days: list[int]) -> Position:
 
 
 class _Files(Protocol):
-    def rows(self, name: str) -> int:
-        """Return how many rows a file has, 0 where there is none."""
+    def read(self, name: str, columns: list[str] | None) -> pyarrow.Table | None:
+        """Return these columns of a file (None: all), or None where there is none."""
         ...
 
     def put(self, name: str, content: bytes) -> None:
@@ -121,9 +125,9 @@ class _Folder:
         if not folder.is_dir():
             raise OSError("there is no such folder: make it, and let the service's user write in it")
 
-    def rows(self, name: str) -> int:
+    def read(self, name: str, columns: list[str] | None) -> pyarrow.Table | None:
         path = self._folder / name
-        return int(parquet.read_metadata(path).num_rows) if path.exists() else 0
+        return _read(path, columns) if path.exists() else None
 
     def put(self, name: str, content: bytes) -> None:
         path = self._folder / name
@@ -140,15 +144,38 @@ class _ObjectStore:
     def __init__(self, address: str) -> None:
         self._files, self._root = fs.FileSystem.from_uri(address)
 
-    def rows(self, name: str) -> int:
+    def read(self, name: str, columns: list[str] | None) -> pyarrow.Table | None:
         path = f"{self._root}/{name}"
         if self._files.get_file_info(path).type == fs.FileType.NotFound:
-            return 0
-        return int(parquet.read_metadata(path, filesystem=self._files).num_rows)
+            return None
+        with self._files.open_input_file(path) as file:
+            return _read(file, columns)
 
     def put(self, name: str, content: bytes) -> None:
         with self._files.open_output_stream(f"{self._root}/{name}") as stream:
             stream.write(content)
+
+
+def _read(file: Path | io.BytesIO | pyarrow.NativeFile, columns: list[str] | None) -> pyarrow.Table:
+    with parquet.ParquetFile(file) as opened:
+        return opened.read(columns=columns)
+
+
+def _with_what_is_there(file: "DayFile", read: Callable[[list[str] | None], pyarrow.Table | None]) -> bytes | None:
+    """Return a day with the rows of the file there whose times it lacks; None where that file is to stay."""
+    if (there := read([TIME])) is None:
+        return file.content
+    before, now = there[TIME].unique(), _read(io.BytesIO(file.content), [TIME])[TIME].unique()
+    if compute.all(compute.is_in(before, value_set=now)).as_py():
+        return file.content if file.rows >= there.num_rows else None
+    if compute.all(compute.is_in(now, value_set=before)).as_py():
+        return None
+    whole = read(None)
+    assert whole is not None
+    lacking = whole.filter(compute.invert(compute.is_in(whole[TIME], value_set=now)))
+    log.warning("parquet.joined", rows=lacking.num_rows, why="the file has rows that the store has not")
+    joined = pyarrow.concat_tables([_read(io.BytesIO(file.content), None), lacking], promote_options="default")
+    return _written(joined.schema, [(joined, file.records)]).content
 
 
 # --- the content of a day ------------------------------------------------------------------
@@ -200,7 +227,7 @@ def _written(schema: pyarrow.Schema, groups: Iterable[tuple[pyarrow.Table, int]]
         compression_level=LEVEL,
         use_dictionary=few,
         column_encoding=encodings,
-        write_statistics=["time_utc", "line", "sensor_id"],  # those of every macro would be a twentieth of the file
+        write_statistics=[TIME, "line", "sensor_id"],  # those of every macro would be a twentieth of the file
         store_schema=False,  # the types that Arrow alone has; of a wide table as large as all that a reader needs
         data_page_size=ONE_PAGE,
         max_rows_per_page=ONE_PAGE,

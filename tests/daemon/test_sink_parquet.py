@@ -127,7 +127,27 @@ def test_a_store_that_lost_rows_does_not_take_them_from_the_files(tmp_path: Path
     store.unlink()
     fill(store, MIDNIGHT_S + 3600.0, 2.0)
     send(store, folder, MIDNIGHT_S + 2 * DAY_S)
-    assert files(folder) == before
+    references = "references/machine=mill%2F7 north/2025-10-09.parquet"
+    assert files(folder) == before | {references: before[references] + 1}, "the new store's own reference is new"
+
+
+def test_what_a_file_has_and_the_store_has_not_stays_in_it(tmp_path: Path) -> None:
+    """Two computers that have the same name; or a day that was deleted in part before a row of it came."""
+    first, second, folder = tmp_path / "1.sqlite", tmp_path / "2.sqlite", tmp_path / "files"
+    fill(first, MIDNIGHT_S, 24.0)
+    fill(second, MIDNIGHT_S + 7.0, 12.0)
+    assert send(first, folder, MIDNIGHT_S + 2 * DAY_S).problem == ""
+    place = "machine=mill%2F7 north/2025-10-09.parquet"
+    before = parquet.ParquetFile(folder / "temperatures" / place).read().to_pylist()
+    assert send(second, folder, MIDNIGHT_S + 2 * DAY_S).problem == ""
+    for kind in ("cnc", "displacements", "estimates", "events", "temperatures", "writes"):
+        assert files(folder)[f"{kind}/{place}"] == 144 + 72, kind
+    after = parquet.ParquetFile(folder / "temperatures" / place).read().to_pylist()
+    assert [row for row in after if row in before] == before and len(after) == SENSORS * (144 + 72)
+    found = files(folder)
+    fill(first, MIDNIGHT_S + DAY_S, 0.5)
+    assert send(first, folder, MIDNIGHT_S + 3 * DAY_S).problem == ""
+    assert {name: found[name] for name in found} == {name: files(folder)[name] for name in found}
 
 
 def test_a_full_disk_leaves_no_half_file(tmp_path: Path) -> None:
