@@ -1,10 +1,13 @@
 """What a source reads in the files of a logger, by what reads the A/D logger's."""
 
+import math
+
 from config.schema.displacements import DisplacementChannelConfig
 from config.schema.source_drivers import SourceEntry
 from config.schema.source_sections import CsvFiles
+from config.schema.sources import DEGF_AT_0_DEGC, DEGF_PER_K, Measured
 from drivers.clock import Clock
-from drivers.displacement.rows import LoggedNumbers
+from drivers.displacement.rows import LoggedNumbers, unit_of_scale
 from drivers.displacement.source import DisplacementCsvSource
 from drivers.pushing import PushedSource
 from drivers.readings import NOT_RECEIVED, NoReading, Readings
@@ -14,6 +17,8 @@ from models.records import DisplacementSample, Instant
 NEWEST_PERIODS = 3.0
 """A row whose time stamp is more cycle periods old is of the past, and not shown as the present."""
 LONGEST_NAME = 80
+CORRECTION_K = 10.0
+"""An `offset` of no more corrects a sensor, and does not convert its unit."""
 AHEAD_S = 5.0
 """A time stamp may be so far ahead of this computer's clock [s]."""
 WHY = {
@@ -22,6 +27,18 @@ WHY = {
     ),
     Reason.UNREADABLE: NoReading(reason=Reason.UNREADABLE, why="its field holds no number"),
 }
+
+
+def _unit(of: Measured) -> str | None:
+    """Return the unit that an input is read in; None where that is no usual one."""
+    at_zero, per_number = of.value(0.0), of.value(1.0) - of.value(0.0)
+    if of.unit_words == "um":
+        return unit_of_scale(per_number)
+    usual = {"degC": (1.0, 0.0), "degF": (1.0 / DEGF_PER_K, -DEGF_AT_0_DEGC / DEGF_PER_K)}
+    for unit, (per, zero) in usual.items():
+        if math.isclose(per_number, per) and abs(at_zero - zero) <= CORRECTION_K:
+            return unit
+    return None
 
 
 class LoggerSource(PushedSource):
@@ -41,8 +58,10 @@ class LoggerSource(PushedSource):
             DisplacementChannelConfig(name=f"sensor {each.key}"[:LONGEST_NAME], column=each.column)
             for each in config.every_input
         ]
+        units = [_unit(each) for each in source.inputs]
+        owner = f"source {source.name}: file"
         self._files = DisplacementCsvSource(
-            LoggedNumbers(file=config.file, channels=channels, owner=f"source {source.name}: file"), clock
+            LoggedNumbers(file=config.file, channels=channels, owner=owner, units=units), clock
         )
         self._newest_utc_s = clock.now().utc_s - NEWEST_PERIODS * source.cycle_period_s
         self._pending: tuple[Readings, Instant] | None = None

@@ -17,6 +17,7 @@ from models.records import DisplacementSample
 
 QUOTED_CHARACTERS = 40
 """How much of an unreadable field a problem quotes."""
+LENGTHS_AND_TEMPERATURES = ("um", "mm", "nm", "in", "degC", "degF")
 _NUMBER = {
     ".": re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?"),
     ",": re.compile(r"[+-]?([0-9]+,?[0-9]*|,[0-9]+)([eE][+-]?[0-9]+)?"),
@@ -35,9 +36,16 @@ class LoggedNumbers:
     channels: Sequence[DisplacementChannelConfig]
     owner: str
     """Begins every sentence about the files."""
+    units: Sequence[str | None] = ()
+    """Unit that each column is read in, None where the configuration converts it; empty: by `scale_um`."""
 
 
 Logged = DisplacementsConfig | LoggedNumbers
+
+
+def unit_of_scale(um: float) -> str | None:
+    """Return the unit of about so many micrometres; None where it is no usual one."""
+    return {0: "um", 3: "mm"}.get(round(math.log10(abs(um))))
 
 
 def logged_numbers(config: Logged) -> LoggedNumbers:
@@ -74,6 +82,7 @@ class RowReader:
         config = logged_numbers(config)
         self._file_config = config.file
         self._channels = config.channels
+        self._units = config.units or [unit_of_scale(channel.scale_um) for channel in config.channels]
         self._file = file
         self._report = report
         # Without a byte order mark at the beginning utf-8-sig is plain utf-8.
@@ -108,9 +117,24 @@ class RowReader:
             return None
         if self._unit_row_due:
             self._unit_row_due = False
+            self._require_units(text, number, columns)
             return None
         self.data_rows += 1
         return self._row(text, number, columns)
+
+    def _require_units(self, text: str, number: int, columns: _Columns) -> None:
+        """Refuse a file whose row of units says another unit than a column is read in."""
+        from config.recordings.column_units import unit_of
+
+        fields = self._fields(text)
+        for channel, index, unit in zip(self._channels, columns.channels, self._units, strict=True):
+            found = unit_of(fields[index]) if unit is not None and index < len(fields) else None
+            if found in LENGTHS_AND_TEMPERATURES and found != unit:
+                raise UnreadableFileError(
+                    f"{self._file}:{number}:{index + 1}: the row of units says {fields[index]} where {channel.name} is "
+                    f"read in {unit}: correct its unit or scale in the configuration; where the row is wrong, "
+                    "`unit_row: false` skips it unread"
+                )
 
     def _row(self, text: str, number: int, columns: _Columns) -> DisplacementSample | None:
         place = f"{self._file}:{number}"

@@ -70,6 +70,20 @@ async def test_byte_order_mark(path: Path, encoding: str) -> None:
     assert (await read_all(config(path, encoding=encoding), 1))[1] == [[1.5, -2.25]]
 
 
+@pytest.mark.parametrize(("unit", "scale_um", "read"), [("mm", -1.0, None), ("um", 1000.0, None), ("V", 1.0, 1.5)])
+async def test_a_row_of_units_that_says_another_unit_is_not_read_over(
+    path: Path, unit: str, scale_um: float, read: float | None
+) -> None:
+    path.write_text(f"time,Y1\n-,{unit}\n2026-01-31T08:00:00,1.5\n", encoding="utf-8")
+    channels = [{"name": "Y", "column": "Y1", "scale_um": scale_um}]
+    opened = config(path, channels=channels, unit_row=True)
+    if read is not None:
+        assert (await read_all(opened, 1))[1] == [[read]]
+        return
+    follower, _ = await read_all(opened, 0, problems=1)
+    assert f"logger.csv:2:2: the row of units says {unit} where Y is read in" in str(follower.source.last_problem)
+
+
 async def test_a_logger_of_windows_writes_its_own_latin(path: Path) -> None:
     path.write_bytes("time,Weg – Y [µm],Z1\n2026-01-31T08:00:00,1.5,-2.25\n".encode("cp1252"))
     channels = [{"name": "Y", "column": "Weg – Y [µm]"}, {"name": "Z", "column": "Z1"}]

@@ -4,6 +4,7 @@ import asyncio
 import json
 import math
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -147,6 +148,36 @@ async def test_a_stamp_of_the_future_is_refused_and_says_what_to_correct(tmp_pat
     row(path, f"{time.time():.2f},20.0\n")
     (fault,) = (await waiting).faults
     assert "3600 s ahead of this computer's clock: correct `time_zone`" in fault and "log.csv:2" in fault
+    await opened.close()
+
+
+@pytest.mark.parametrize(
+    ("unit", "sensor", "refused"),
+    [
+        ("°F", {}, "log.csv:2:2: the row of units says °F where sensor 7 is read in degC: correct its unit or scale"),
+        ("[°C]", {"unit": "degF"}, "the row of units says [°C] where sensor 7 is read in degF"),
+        ("mm", {}, "the row of units says mm where sensor 7 is read in degC"),
+        ("°F", {"unit": "degF"}, ""),
+        ("°C", {"offset": -0.4}, ""),
+        ("°C", {"unit": "degF", "scale": 1.8, "offset": 32.0}, ""),
+        ("°F", {"scale": 1 / 1.8, "offset": -32 / 1.8}, ""),
+        ("mV", {}, ""),
+        ("-", {}, ""),
+    ],
+)
+async def test_a_row_of_units_that_says_another_unit_is_not_read_over(
+    tmp_path: Path, unit: str, sensor: dict[str, Any], refused: str
+) -> None:
+    path = tmp_path / "log.csv"
+    file = {"path": str(path), "header": "t", "time_format": "%s", "poll_period_s": 0.01, "unit_row": True}
+    opened = LoggerSource(source("csv", {"file": file}, {**SENSOR, "column": "T7", **sensor}), SystemClock())
+    row(path, f"t,T7\ns,{unit}\n{time.time()},20.5\n")
+    cycles = opened.cycles()
+    if refused:
+        with pytest.raises(LinkError, match=re.escape(refused)):
+            await following(cycles)
+    else:
+        assert (await following(cycles)).faults == ()
     await opened.close()
 
 
