@@ -56,14 +56,14 @@ def test_layout_follows_the_configuration(tmp_path: Path) -> None:
             time_zone="Asia/Tokyo",
         ),
         channels=[
-            DisplacementChannelConfig(name="z", column=5),
+            DisplacementChannelConfig(name="z", column=5, scale_um=-1000.0),
             DisplacementChannelConfig(name="x1", column="変位X"),
         ],
     )
     logger = csv(config)
     logger.step(0.0)
     assert logger.path == tmp_path / "log0001.csv"
-    expected = "日時;Time1;変位X;-;z\r\n;;um;;um\r\n2024/03/01;17:00:00;0,500;;-1,500\r\n"
+    expected = "日時;Time1;変位X;-;z\r\n;;um;;mm\r\n2024/03/01;17:00:00;0,500;;0,002\r\n"
     assert logger.path.read_bytes() == expected.encode("cp932")
 
 

@@ -38,6 +38,7 @@ def broker(folder: Path, port: int) -> dict[str, Any]:
 
 def logger(folder: Path, port: int) -> dict[str, Any]:
     file = {
+        "unit_row": True,
         "path": str(folder / "*.csv"),
         "delimiter": ";",
         "decimal": ",",

@@ -11,10 +11,11 @@ from pathlib import Path
 from zoneinfo import ZoneInfo
 
 from config.schema.displacements import DisplacementFileConfig, DisplacementsConfig
+from drivers.displacement.rows import unit_of_scale
 from drivers.sim.faults import Fault, FaultKind, of_kind
 
 ROW_PERIOD_S = 60.0
-UNIT = "um"
+NO_UNIT = "-"
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 
@@ -38,14 +39,17 @@ class DisplacementCsv:
         start_s: float = 0.0,
         period_s: float | None = None,
         faults: Sequence[Fault] = (),
+        unit: str | None = None,
     ) -> None:
         """Prepare the logger; `read` gives displacements by channel [um], `utc_of` the UTC of a simulated time.
 
-        `period_s` None: the configured interval, or a minute.
+        `period_s` None: the configured interval, or a minute. `unit`: what a row of units says of every channel; None:
+        what its scale stands for.
         """
         assert config.file is not None
         self._file = config.file
         self._scale_um = {channel.name: channel.scale_um for channel in config.channels}
+        self._units = {name: unit or unit_of_scale(um) or NO_UNIT for name, um in self._scale_um.items()}
         self._columns = _columns(config)
         self._read = read
         self._utc_of = utc_of
@@ -136,7 +140,7 @@ class DisplacementCsv:
             return b""
         head = self._line([column.title for column in self._columns])
         if self._file.unit_row:
-            head += self._line([UNIT if column.channel else "" for column in self._columns])
+            head += self._line([self._units[column.channel] if column.channel else "" for column in self._columns])
         return BYTE_ORDER_MARK + head if self._file.encoding == "utf-8-sig" else head
 
     def _line(self, texts: Sequence[str]) -> bytes:

@@ -10,7 +10,7 @@ from config.schema.displacements import DisplacementChannelConfig, DisplacementF
 from config.schema.source_drivers import SourceConfig
 from config.schema.source_sections import CsvConfig, MqttConfig, ProcessConfig
 from config.schema.sources import SourceSensorConfig
-from drivers.sim.wires.displacement_wire import DisplacementCsv
+from drivers.sim.wires.displacement_wire import NO_UNIT, DisplacementCsv
 from drivers.sim.wires.mqtt_broker import SimulatedBroker
 
 Temperatures = Callable[[Sequence[int]], Sequence[float]]
@@ -98,6 +98,7 @@ class CsvFace(Pushed):
             utc_of,
             start_s=source.cycle_period_s,
             period_s=source.cycle_period_s,
+            unit=NO_UNIT,
         )
 
     async def open(self) -> None:
