@@ -80,6 +80,13 @@ def test_a_database_that_cannot_be_used_is_refused(dsn: str, said: str) -> None:
     assert done.exit_code == 2 and said in done.output
 
 
+@pytest.mark.parametrize("kind", ["mqtt", "mqtts"])
+def test_a_broker_that_cannot_be_used_is_refused_at_once(server: Server, kind: str) -> None:
+    words = ["fleet", "simulate", "--postgres", dsn_of(server, PASSWORD), "--mqtt", f"{kind}://127.0.0.1:1"]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 2 and "--mqtt: " in done.output and "check `host`, `port` (1)" in done.output
+
+
 def test_the_brokers_password_comes_from_the_environment_and_is_never_shown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -27,6 +27,8 @@ from daemon.simulation import SimulationError
 from daemon.simulation.fleet.counting import ArrivalWatch, Rows, count_rows, stored_rows
 from daemon.simulation.fleet.machines import FleetPlan, Recorded, fleet_configuration, run_machines
 from daemon.simulation.fleet.senders import run_senders, run_store
+from daemon.sinks.broker import Broker, Message
+from daemon.sinks.contract import SinkError
 from daemon.sinks.outbox import STREAMS, Outbox
 
 SINK = "plant"
@@ -245,6 +247,19 @@ def broker_of(url: str, folder: Path) -> dict[str, Any]:
     if password is not None and parts.username is not None:
         there["password_file"] = _secret(folder / "mqtt-password", password)
     return there
+
+
+def check_broker(route: Route) -> None:
+    """Connect once where the histories go over a broker; raises SimulationError, with what to do."""
+    if route.sink.mqtt is None:
+        return
+    broker = Broker(route.sink.mqtt, "--mqtt", f"{TOPIC}-look")
+    try:
+        broker.connect(Message(topic=f"{TOPIC}/look/status", payload=b"offline"))
+    except SinkError as error:
+        raise SimulationError(str(error)) from None
+    finally:
+        broker.close()
 
 
 def _secret(path: Path, text: str) -> Path:
