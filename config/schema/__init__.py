@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from pydantic import Field, model_validator
 
-from config.schema.base import KeyPath, KeyProblems, Section
+from config.schema.base import KeyPath, KeyProblems, MachineName, Section
 from config.schema.cnc import CncConfig
 from config.schema.compensation import CompensationConfig
 from config.schema.displacements import DisplacementsConfig
@@ -18,8 +18,7 @@ from config.schema.temperatures import TemperaturesConfig
 class Configuration(Section):
     """Configuration of the daemon for one machine tool."""
 
-    machine: str = Field(
-        min_length=1,
+    machine: MachineName = Field(
         description="name of the machine; a model that was trained on another needs a person's word",
         examples=["my machining centre"],
     )

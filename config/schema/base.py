@@ -67,6 +67,7 @@ MacroNumber = Annotated[int, Field(ge=1, le=99999)]
 Host = Annotated[str, Field(pattern=HOST_PATTERN, max_length=253)]
 """Where a link goes, or what is listened on."""
 Name = Annotated[str, Field(pattern=NAME_PATTERN, max_length=40)]
+MachineName = Annotated[str, Field(pattern=CHANNEL_PATTERN, max_length=200)]
 ChannelName = Annotated[str, Field(pattern=CHANNEL_PATTERN, max_length=80)]
 """A displacement channel is called what the column of its recording is: `Weg Z [um]`."""
 

@@ -184,6 +184,8 @@ CHANNEL = {"name": "Z1", "column": "Z1"}
         ("service.retry_min_s", 60.0, "service.retry_min_s", "not be longer than retry_max_s"),
         ("service.socket", "/run/" + "x" * 110, "service.socket", "at most 107 bytes"),
         ("service.http_port", 70000, "service.http_port", "at most 65535"),
+        ("machine", "mill\0 7", "machine", "text on one line"),
+        ("machine", "m" * 201, "machine", "at most 200 characters"),
     ],
 )
 def test_what_cannot_work_is_refused_at_its_key(path: str, value: Any, key: str, sentence: str) -> None:
