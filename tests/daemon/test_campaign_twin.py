@@ -296,6 +296,17 @@ def test_an_axis_has_the_time_that_its_slew_rate_takes(judged: Judged) -> None:
     assert judged.stand(60.0, z=30.0) == 1
 
 
+def test_another_tool_on_the_way_takes_the_time_of_its_own_distance(judged: Judged) -> None:
+    """T2, set in a retreat, was 30 um from where the tool stood; T3 came on the way and was 20 um further."""
+    way_s = 60.0 * 20.0 / judged.bench.configuration.compensation.axes["z"].slew_um_per_min
+    assert judged.stand(DELAY_S + way_s - 5.0, z=30.0) == 0
+    further = Request(time_s=judged.now_s, counter=5, kind=2, axis=3, value_mm=0.02)
+    judged.watch.answered(further, 5.0, {**APPLIED, "z": 10.0})
+    assert judged.bench.requests()[1] == pytest.approx(-10.0)
+    assert judged.stand(way_s, z=30.0) == 0
+    assert judged.stand(60.0, z=30.0) == 1
+
+
 def test_in_a_cut_where_no_guard_runs_nothing_is_asked_of_the_tool(judged: Judged) -> None:
     assert judged.stand(3000.0, guard=False, z=30.0) == 0
 

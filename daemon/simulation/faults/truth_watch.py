@@ -30,6 +30,8 @@ class _Way:
     since_s: float
     runs: int
     off_um: float
+    wanted_um: float
+    """The twin's request at the latest look."""
     told: bool = False
 
 
@@ -131,7 +133,10 @@ class TruthWatch:
             return
         way = self._ways.get(name)
         if way is None:
-            way = self._ways[name] = _Way(since_s=time_s, runs=self._runs, off_um=off_um)
+            way = self._ways[name] = _Way(since_s=time_s, runs=self._runs, off_um=off_um, wanted_um=wanted_um)
+        if (further_um := abs(wanted_um - way.wanted_um)) > WITHIN_UM:  # another tool came on the way
+            way.off_um += further_um
+        way.wanted_um = wanted_um
         axis = self.configuration.compensation.axes[name]
         if time_s - way.since_s <= DELAY_S + 60.0 * way.off_um / axis.slew_um_per_min:
             way.runs = self._runs
