@@ -115,6 +115,7 @@ def run(
             "checked",
             disturbance=bad,
             before=BEFORE,
+            reads_past=True,
             restarting=restarting,
             **how,
         )

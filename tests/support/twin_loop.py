@@ -58,6 +58,9 @@ class TwinLoop:
     seed: int = 0
     pauses: tuple[int, ...] = ()
     """Moments before which 20 s pass in which nobody does anything."""
+    reads_past: bool = False
+    """The model's past may be read again: ten seconds on, all that was handed to the store is in it, however fast this
+    computer plays them."""
     restarting: bool = False
     """In every pause the daemon dies, and starts again."""
     first: int = 0
@@ -132,6 +135,8 @@ class TwinLoop:
                 await self._program()
                 if self.moment - self.before in self.pauses:
                     await self._pause()
+                if self.reads_past:
+                    await loop.rig.history.flushed()
                 await loop.moment()
                 loop.nc.safe_point()
                 if self.moment >= self.before:
