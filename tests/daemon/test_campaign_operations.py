@@ -142,15 +142,17 @@ def test_a_released_model_may_wait_for_a_while_when_the_daemon_says_why(bench: B
 
 
 @pytest.mark.parametrize(("left_out", "violated"), [((99,), 0), ((26,), 1)])
+@pytest.mark.parametrize("limit_k", [0.3, 4.0])
 def test_a_sensor_that_has_long_been_wrong_must_not_count(
-    bench: Bench, left_out: tuple[int, ...], violated: int
+    bench: Bench, left_out: tuple[int, ...], violated: int, limit_k: float
 ) -> None:
-    """At 12 K/h it is 3 K off after a quarter of an hour, and a quarter of an hour more is allowed."""
+    """At 12 K/h it is 3 K beyond its limit a quarter of an hour after that, and a quarter more is allowed."""
+    judged_s = CALM_FROM_S + 1800.0 + limit_k / 12.0 * 3600.0
     drift = Happening(kind=Incident.WRONG_SENSOR, at_s=CALM_FROM_S, duration_s=5000.0, target=99, amount=-12.0)
     bench.watch.begun(CALM_FROM_S, drift)
-    bench.watch.wrong_sensor(CALM_FROM_S + 1700.0, drift, claims(left_out=()))
+    bench.watch.wrong_sensor(judged_s - 100.0, drift, claims(left_out=()), limit_k)
     assert bench.checked("wrong_sensor_left_out") == (0, 0)
-    bench.watch.wrong_sensor(CALM_FROM_S + 1900.0, drift, claims(left_out=left_out))
+    bench.watch.wrong_sensor(judged_s + 100.0, drift, claims(left_out=left_out), limit_k)
     assert bench.checked("wrong_sensor_left_out") == (1, violated)
 
 

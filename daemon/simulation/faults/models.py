@@ -40,6 +40,7 @@ class CampaignModels:
         shipped = path.read_text("utf-8")
         self._texts = {SHIPPED: shipped}
         self._ids: dict[str, str] = {SHIPPED: model_from_json(shipped, path.name).model_id}
+        self._limits_k: dict[int, float] = {}
         if any(happening.kind in OF_MODELS for happening in script):
             self._train()
 
@@ -62,6 +63,10 @@ class CampaignModels:
     def is_watching(self, model_id: str | None) -> bool:
         """Tell whether this is the model that watches its sensors."""
         return model_id is not None and model_id == self._ids.get(WATCHING)
+
+    def limit_k(self, sensor_id: int) -> float:
+        """Return from how much on the model that watches its sensors takes a departure of one for a fault [K]."""
+        return self._limits_k[sensor_id]
 
     def exchange(self) -> None:
         """Release the next model."""
@@ -92,7 +97,8 @@ class CampaignModels:
             IncrementChoices(interval_min=INTERVAL_MIN, ridge_k2="auto", split_at_speed_changes=False)
         )
         small = train_family(recordings, telescoped, sample_s=SAMPLE_S, created=CREATED).model
-        watching = train_family(recordings, "default", sample_s=SAMPLE_S, created=CREATED).model
+        watching: Any = train_family(recordings, "default", sample_s=SAMPLE_S, created=CREATED).model
+        self._limits_k = dict(zip(watching.sensor_ids, watching.watch.threshold_k.tolist(), strict=True))
         shipped: Any = model_from_json(self._texts[SHIPPED], self.path.name)
         renamed = replace(shipped, model_id=f"{shipped.model_id}-again")
         for name, model in (

@@ -181,7 +181,8 @@ class Observer:
         self._heart.look(time_s, self.claims, self.world.machine.nc)
         if self._models.is_watching(self.claims.model):
             for happening in (h for h in self.world.active if h.kind is Incident.WRONG_SENSOR):
-                self.operations.wrong_sensor(time_s, happening, self.claims)
+                limit_k = self._models.limit_k(int(happening.target or 0))
+                self.operations.wrong_sensor(time_s, happening, self.claims, limit_k)
 
     def hear(self, time_s: float, claims: Claims | None) -> None:
         """Take what the daemon says of itself at a time; count how long it was in its state."""

@@ -27,7 +27,7 @@ ENDS_A_REFERENCE = (Incident.POWER_CYCLE, Incident.OTHER_PROGRAM, Incident.WORK_
 QUIET = (FaultKind.STUCK_SENSOR, FaultKind.DRIFTING_SENSOR, FaultKind.FLIPPED_BIT, Incident.WRONG_SENSOR)
 """The fault of a single sensor prevents no answer."""
 FOUND_K = 3.0
-"""A sensor of the watching model that is so far off must not count [K] ..."""
+"""A sensor of the watching model that is so far beyond the limit which training gave it must not count [K] ..."""
 FOUND_AFTER_S = 900.0
 """... when it has been for so long [s]."""
 
@@ -194,14 +194,15 @@ class OperationsWatch:
         self._ledger.check("model_taken_up", taken, what)
         self._model_due = None
 
-    def wrong_sensor(self, time_s: float, happening: Happening, claims: Claims) -> None:
+    def wrong_sensor(self, time_s: float, happening: Happening, claims: Claims, limit_k: float) -> None:
         """Check that a sensor which has long been wrong does not count for the model that watches its sensors.
 
-        Every reference lets it count again, from what it then says.
+        Every reference lets it count again, from what it then says. `limit_k`: a departure of this sensor up to which
+        the model's file does not take for a fault [K]; of the spindle's nose, which the others hardly tell, it is 4 K.
         """
         began_s = max(happening.at_s, self._reference_s)
         off_k = abs(happening.amount) * (time_s - began_s) / 3600.0
-        far_off_s = began_s + FOUND_K / abs(happening.amount) * 3600.0
+        far_off_s = began_s + (limit_k + FOUND_K) / abs(happening.amount) * 3600.0
         if claims.reference is None or claims.estimate_reference != claims.reference:
             return  # nothing follows the estimate, which may be one of long ago
         if time_s < max(far_off_s + FOUND_AFTER_S, self._busy_until_s):
