@@ -230,6 +230,20 @@ def _show_sensors(ids: dict[str, int]) -> None:
         say(f"the machine's configuration must give these sensors the same IDs: {numbered}")
 
 
+def _show_noticed_late(found: list[dict[str, Any]]) -> None:
+    """Say which sensors the others tell too late to keep the band."""
+    from models.recordings.findings import counted
+
+    if found:
+        worst = found[0]
+        more = f"; so do {counted(len(found) - 1, 'other sensor')}" if len(found) > 1 else ""
+        say(
+            f"sensor {worst['sensor']} may drift by {worst['from_k']:.1f} K before the others tell, which makes "
+            f"{worst['error_um']:.1f} um of {worst['channel']} where the band is {worst['band_um']:.1f} um{more}: "
+            "another sensor beside it, or more recordings, would tell sooner"
+        )
+
+
 def _show(found: dict[str, Any]) -> None:
     """Write the outcome for people, on standard error."""
     from daemon.workbench.thermal.shortfalls import columns_sentences
@@ -252,6 +266,7 @@ def _show(found: dict[str, Any]) -> None:
         say(f"chosen: {found['chosen']['family']}; {found['chosen']['why']}")
     if found["recordings_left_out"]:
         say(f"left out on request: {', '.join(found['recordings_left_out'])}")
+    _show_noticed_late(found["noticed_late"])
     for sentence in found["advice"]:
         say(f"next: {sentence}")
     if not held_out["channels"]:

@@ -8,6 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from config.files import write_whole
 from config.recordings.recording_map import RecordingMap
 from config.schema.base import NAME_PATTERN
@@ -17,10 +19,12 @@ from drivers.files.recording_origin import machine_of
 from models.json_values import finite_or_none
 from models.recordings.dataset import DatasetError, Recording
 from models.thermal.family import ThermalModel
+from models.thermal.model import LinearParameters
 from models.thermal.training.choice import Choice
 from models.thermal.training.evaluation import ResidualMetrics
 from models.thermal.training.recipes import Recipe
 from models.thermal.training.train_family import FamilyTraining, train_family
+from models.thermal.training.watch_fit import unnoticed_um
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,9 +151,33 @@ def summary(result: FamilyTraining, path: Path) -> dict[str, Any]:
             "forward_skill": [finite_or_none(value) for value in trust.forward_skill],
             "channels": {} if trust.held_out is None else channel_figures(trust.held_out),
         },
+        "noticed_late": _noticed_late(model),
         "temperatures_left_out": result.left_out,
         "warnings": [*_not_nameable(model), *result.warnings],
     }
+
+
+def _noticed_late(model: ThermalModel) -> list[dict[str, Any]]:
+    """Return the sensors that make more than the band before the others tell that they are wrong, the worst first."""
+    if not isinstance(model, LinearParameters) or model.watch is None:
+        return []
+    made_um, limits_k = np.abs(unnoticed_um(model)), model.watch.threshold_k
+    over = np.where(np.isfinite(model.band_um), made_um / np.maximum(model.band_um, 1e-9), 0.0)
+    worst = over.argmax(axis=1)
+    found = []
+    for sensor in np.argsort(-over.max(axis=1)):
+        channel = int(worst[sensor])
+        if over[sensor, channel] > 1.0:
+            found.append(
+                {
+                    "sensor": model.sensor_names[sensor],
+                    "from_k": float(limits_k[sensor]),
+                    "channel": model.channels[channel],
+                    "error_um": float(made_um[sensor, channel]),
+                    "band_um": float(model.band_um[channel]),
+                }
+            )
+    return found
 
 
 def _not_nameable(model: ThermalModel) -> list[str]:

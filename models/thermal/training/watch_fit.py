@@ -9,6 +9,7 @@ import numpy as np
 from models.recordings.dataset import Recording
 from models.records import FloatArray
 from models.thermal.features import BoolArray, IntArray, Layout
+from models.thermal.model import LinearParameters
 from models.thermal.sensor_watch import (
     FAST_MIN,
     FLAT_FACTOR,
@@ -79,6 +80,22 @@ def fit_watch(recordings: Sequence[Recording], sample_s: float, rows: BoolArray,
         flat_min=_flat_min(_longest_flat_min(inputs, rows), inputs.period_min),
         speed_scale_rpm=inputs.speed_scale_rpm,
     )
+
+
+def unnoticed_um(model: LinearParameters) -> FloatArray:
+    """Return what every sensor makes when it is wrong by its limit, from which on the others tell it.
+
+    Result: thermal error [um], shape (n_sensors, n_channels), when it has been wrong for long, so that its lags have
+    followed; zero sensors without a watch.
+
+    `model`: the model with its watch.
+    """
+    if model.watch is None:
+        return np.zeros((0, len(model.channels)))
+    change = np.zeros((len(model.watch.threshold_k), model.layout.columns))
+    for sensor, limit_k in enumerate(model.watch.threshold_k):
+        change[sensor, model.layout.of_sensors([sensor])] = limit_k
+    return model.thermal_error_um(change, 0.0)
 
 
 def _thresholds_k(largest_k: FloatArray) -> FloatArray:
