@@ -33,7 +33,9 @@ PING_PERIOD_S = 20
 LARGEST_MESSAGE = 1 << 20
 """The broker is told to leave out what is larger [bytes]: nothing but commands and births comes here."""
 AT_ONCE = 500
-"""Messages that wait for their acknowledgement together."""
+"""Messages that are handed over together, of which IN_FLIGHT wait for their acknowledgement at a time."""
+IN_FLIGHT = 20
+"""The library's own limit; it does not look at that of the broker."""
 ALWAYS, IF_NEW = 0, 1
 """Retained messages come when a subscription is made; whether they come again when it is renewed."""
 NOBODY, NOT_AUTHORISED, WITH_WILL = 16, 135, 4
@@ -60,6 +62,7 @@ class Broker:
         self._changed = threading.Condition()
         self._connected = False
         self._lost = ""
+        self._at_once = AT_ONCE
         self._acknowledged, self._nobody = 0, 0
         self._refused: tuple[int, int, str] | None = None
         """Number of the message, code and words of the last refusal."""
@@ -98,7 +101,7 @@ class Broker:
     def publish(self, messages: Iterable[Message]) -> bool:
         """Publish, wait for the acknowledgements; False: the broker says that one of them had no subscriber."""
         waiting, reached = iter(messages), True
-        while some := list(itertools.islice(waiting, AT_ONCE)):
+        while some := list(itertools.islice(waiting, self._at_once)):
             reached = self._publish(some) and reached
         return reached
 
@@ -178,11 +181,13 @@ class Broker:
 
     # --- in the library's thread -----------------------------------------------------------
 
-    def _on_connect(self, _client: Any, _data: Any, _flags: Any, code: ReasonCode, _properties: Any) -> None:
+    def _on_connect(self, _client: Any, _data: Any, _flags: Any, code: ReasonCode, properties: Any) -> None:
         with self._told():
             if code.is_failure:
                 self._lost = self._lost or reason(code.value, str(code))
             else:
+                allowed = getattr(properties, "ReceiveMaximum", IN_FLIGHT)
+                self._at_once = AT_ONCE if allowed >= IN_FLIGHT else allowed
                 self._connected = True
 
     def _on_disconnect(self, _client: Any, _data: Any, _flags: Any, code: ReasonCode, _properties: Any) -> None:

@@ -19,7 +19,7 @@ from psycopg import errors, sql
 from config.schema.sinks import PostgresqlConfig
 from daemon.sinks.contract import SinkError
 from daemon.sinks.outbox import Stream
-from daemon.sinks.postgresql_refusals import newer_schema, refusal, unreadable
+from daemon.sinks.postgresql_refusals import newer_schema, other_encoding, refusal, unreadable
 from daemon.sinks.row_messages import KEYS
 
 log = structlog.get_logger(__name__)
@@ -38,6 +38,8 @@ PARTITIONING = " PARTITION BY RANGE (time)"
 """What the first script says of them."""
 CHUNK = "7 days"
 """What a hypertable keeps together: TimescaleDB's own choice."""
+ENCODINGS = ("UTF8", "SQL_ASCII")
+"""Encodings of a database that holds every text; the second is none, and keeps what it is given."""
 TABLES = {"references": "reference_points"}
 """Stream -> its table, where that is called otherwise."""
 COLUMNS = {"utc_ms": "time", "cycle_utc_ms": "cycle_time"}
@@ -190,6 +192,7 @@ class Database:
             tcp_user_timeout=answer_ms,
             keepalives_idle=max(1, round(config.timeout_s)),
             application_name=self._application,
+            client_encoding="UTF8",  # else that of the database, which may be none (SQL_ASCII)
             autocommit=True,
             **tls,
         )
@@ -221,6 +224,9 @@ class Database:
         known = scripts()
         if version > known[-1][0]:
             raise SinkError(f"{self._where}: {newer_schema(version, known[-1][0])}")
+        encoding = connection.info.parameter_status("server_encoding")
+        if version == 0 and encoding not in ENCODINGS:
+            raise SinkError(f"{self._where}: {other_encoding(str(encoding))}")
         connection.execute("SET LOCAL statement_timeout = 0")  # a table of years takes longer than an answer may
         for number, script in known:
             if number > version:

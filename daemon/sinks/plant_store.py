@@ -106,8 +106,9 @@ def _value(stream: Stream, column: str, value: Any) -> Any:
         except (TypeError, OverflowError) as error:
             raise ValueError(f"`{column}` is no time") from error
     if column in JSON_COLUMNS:
-        return None if value is None else json.dumps(value)
-    if column in ARRAYS.get(stream.name, ()):
+        value = None if value is None else json.dumps(value, ensure_ascii=False)
+        fits = value is None or _has_characters_only(value)
+    elif column in ARRAYS.get(stream.name, ()):
         fits = isinstance(value, list) and all(_is_number(each) for each in value)
     elif column in TEXTS:
         fits = value is None or (isinstance(value, str) and _has_characters_only(value))

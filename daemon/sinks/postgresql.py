@@ -3,6 +3,7 @@
 The position stands in the database: one that was restored from an older copy gets again what it lost.
 """
 
+import json
 from collections.abc import Callable, Mapping
 from datetime import timedelta
 from typing import Any
@@ -15,9 +16,17 @@ from daemon.sinks.contract import Progress
 from daemon.sinks.database import EPOCH, STORE, Database, time_of
 from daemon.sinks.outbox import DAY_MS, STREAMS, Batch, Outbox
 from daemon.sinks.postgresql_refusals import name_taken
+from daemon.sinks.row_messages import JSON_COLUMNS
 from models.records import WriteOutcome
 
+
+def spelled_out(text: str | None) -> str | None:
+    r"""Return JSON without escapes such as \u9577, which a database takes in the encoding UTF8 only."""
+    return json.dumps(json.loads(text), ensure_ascii=False) if text is not None and "\\u" in text else text
+
+
 CONVERSIONS: Mapping[str, Callable[[Any], Any]] = {
+    **dict.fromkeys(JSON_COLUMNS, spelled_out),
     "utc_ms": time_of,
     "cycle_utc_ms": time_of,
     "complete": bool,

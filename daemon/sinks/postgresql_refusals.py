@@ -39,6 +39,8 @@ ALTERED = (
 def refusal(error: Exception, config: PostgresqlConfig) -> str:
     """Return what went wrong, and what to do."""
     text = " ".join(str(error).split()) or type(error).__name__
+    if isinstance(error, errors.InvalidSchemaName):  # it is there, and `user_name` does not see it
+        return f"`user_name` {config.user_name} may not use schema toolpoint: let the role that owns it be `user_name`"
     if isinstance(error, errors.InsufficientPrivilege):
         return f"`user_name` {config.user_name} may not do this ({text}): let it create in `database`"
     if isinstance(error, errors.DiskFull):
@@ -54,6 +56,14 @@ def newer_schema(there: int, known: int) -> str:
     return (
         f"its schema has version {there}, this version of toolpoint knows up to {known}; install the newer version on "
         "this computer too, or give another `database`"
+    )
+
+
+def other_encoding(encoding: str) -> str:
+    """Return that the database has no room for some texts."""
+    return (
+        f"it has the encoding {encoding}, which does not hold every text: make it anew with "
+        "CREATE DATABASE ... ENCODING 'UTF8' LOCALE 'C' TEMPLATE template0, or give another `database`"
     )
 
 

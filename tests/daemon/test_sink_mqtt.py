@@ -18,12 +18,13 @@ from certificates import make_certificate
 from filled_store import add, fill
 from history_records import EPOCH_S, SMALL, StillClock
 from mosquitto import PATIENCE_S, Mosquitto, mosquitto, subscriber, wait_until
+from strict_broker import strict_broker
 
 from config.sample import sample_configuration
 from config.schema.service import HistoryConfig
 from config.schema.sinks import SinkConfig
 from daemon.history import HistoryWriter, housekeeping
-from daemon.history.cursors import Cursor, cursor_path
+from daemon.history.cursors import Cursor, Position, cursor_path
 from daemon.sinks.ahead import Ahead
 from daemon.sinks.contract import Progress, SinkError
 from daemon.sinks.current import SILENT_AFTER_S, Freshness, current_values
@@ -60,6 +61,16 @@ def send(config: SinkConfig, path: Path, machine: str = MACHINE) -> Cursor:
     runner = runner_for(config, path, machine)
     runner.run()
     return runner.cursor
+
+
+def sink_waits(store: Path, cursor: Cursor) -> int:
+    """Rows that the sink has not taken yet, but for writes that wait for their echo."""
+    with Outbox(store) as outbox:
+        return sum(
+            outbox.waiting(stream, cursor.positions.get(name, Position()))[0]
+            for name, stream in STREAMS.items()
+            if name != "writes"
+        )
 
 
 def rows(messages: list[tuple[bool, str, str]], stream: str) -> list[dict[str, object]]:
@@ -402,6 +413,31 @@ def test_a_limit_of_the_broker_is_named(tmp_path: Path, setting: str, said: str)
     with mosquitto(tmp_path, OPEN, setting) as port:
         cursor = send(section(port), store)
     assert said in cursor.problem and cursor.sent_rows == 0
+
+
+def test_no_more_waits_for_its_acknowledgement_than_the_broker_allows(tmp_path: Path) -> None:
+    """It ends the connection else; HiveMQ allows ten."""
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=1.0)
+    with strict_broker(receive_maximum=3) as broker:
+        cursor = send(section(broker.port), store)
+    assert cursor.problem == "" and 0 < broker.most <= 3
+
+
+def test_a_broker_that_ends_connections_in_the_middle_has_every_row(tmp_path: Path) -> None:
+    store, stop = tmp_path / "h.sqlite", threading.Event()
+    fill(store, hours=3.0)
+    with strict_broker(cut_after=(100, 20_000, 40_000, 41_000), waits_s=0.002) as broker:
+        runner = SinkRunner(section(broker.port), store, MACHINE, stop, wait=lambda _s: stop.wait(0.01))
+        thread = threading.Thread(target=runner.run)
+        thread.start()
+        try:
+            wait_until(lambda: not broker.cut_after and not sink_waits(store, runner.cursor))
+        finally:
+            stop.set()
+            thread.join()
+    keys = {json.loads(payload)["key"] for topic, payload in broker.taken if "/history/" in topic}
+    assert len(keys) == 72 + 4 * 36 + 34 + 4
 
 
 @pytest.mark.parametrize(

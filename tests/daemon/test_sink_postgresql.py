@@ -497,6 +497,56 @@ def test_a_role_that_may_not_create_is_named(server: Server, tmp_path: Path) -> 
     assert "`user_name` guest may not" in send(server, tmp_path, store, user_name="guest").problem
 
 
+def test_a_role_without_rights_in_the_schema_is_named(server: Server, tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.1)
+    assert send(server, tmp_path, store).problem == ""
+    with server.connection() as connection, contextlib.suppress(psycopg.errors.DuplicateObject):
+        connection.execute("CREATE ROLE guest LOGIN PASSWORD 'lathe 7'")
+    refused = send(server, tmp_path, store, user_name="guest").problem
+    assert "`user_name` guest may not" in refused and "schema toolpoint" in refused
+
+
+@pytest.fixture
+def encoded(server: Server, request: pytest.FixtureRequest) -> Iterator[str]:
+    """A database in another encoding: that of a cluster that was made without a locale, for one."""
+    with server.connection("postgres") as connection:
+        connection.execute(f"CREATE DATABASE encoded ENCODING '{request.param}' TEMPLATE template0")
+        yield "encoded"
+        connection.execute("DROP DATABASE encoded WITH (FORCE)")
+
+
+@pytest.mark.parametrize("encoded", ["SQL_ASCII"], indirect=True)
+def test_a_database_without_an_encoding_gets_every_text_as_it_is(server: Server, tmp_path: Path, encoded: str) -> None:
+    store = tmp_path / "h.sqlite"
+    writer = HistoryWriter(store, clock=StillClock(), machine=replace(SMALL, displacement_channels=("dx", "dy", "長")))
+    writer.start()
+    add(writer, EPOCH_S, 1.0)
+    writer.close()
+    for hours in (0.0, 0.5):
+        fill(store, start_s=EPOCH_S + 3600.0, hours=hours)
+        cursor = send(server, tmp_path, store, database=encoded)
+        assert cursor.problem == "" and cursor.sent_rows == cursor.stored_rows
+    with server.connection(encoded, client_encoding="UTF8") as connection:
+        ask = connection.execute
+        assert ask("SELECT count(*) FROM toolpoint.cnc_2025_10").fetchone() == (18,)
+        assert ask("SELECT text FROM toolpoint.events LIMIT 1").fetchone() == ("number 0\nsecond line µ",)
+        assert ask("SELECT um->>'長' FROM toolpoint.displacements ORDER BY time LIMIT 1").fetchone() == ("0.0",)
+
+
+@pytest.mark.parametrize("encoded", ["LATIN1"], indirect=True)
+def test_a_database_that_cannot_hold_every_text_is_refused_before_it_holds_anything(
+    server: Server, tmp_path: Path, encoded: str
+) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.1)
+    refused = send(server, tmp_path, store, database=encoded)
+    assert "has the encoding LATIN1" in refused.problem and "ENCODING 'UTF8'" in refused.problem
+    assert refused.sent_rows == 0
+    with server.connection(encoded) as connection:
+        assert connection.execute("SELECT to_regnamespace('toolpoint')").fetchone() == (None,)
+
+
 def test_the_section_says_which_library_is_loaded() -> None:
     config = SinkConfig.model_validate({"name": "p", "driver": "postgresql", "postgresql": {"host": "db"}})
     assert isinstance(make_sink(config, MACHINE), PostgresqlSink)
