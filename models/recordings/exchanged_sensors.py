@@ -1,12 +1,13 @@
-"""Finds two temperature sensors that were exchanged from one recording on, or in one recording.
+"""Finds temperature sensors that were exchanged in pairs from one recording on, or in one recording.
 
 Every sensor is predicted from the others by a ridge that was fitted on the other recordings, all counted from their
 means. Where two were exchanged, what they leave there is large, and small again with the two changed back, both ways:
-when the recordings with the exchange are predicted from those without, and the other way round.
+when the recordings with the exchange are predicted from those without, and the other way round. Where others still do
+not fit with all of them changed back, other pairs may explain as much, and which sensors it were is not told.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -23,11 +24,13 @@ EXCHANGED_SHARE = 0.2
 CHANGED_BACK = 0.33
 """... and less than this share of it when they are changed back."""
 MOST_EXCHANGES = 3
+FEWEST_UNEXPLAINED = 2
+"""One sensor that does not fit beside exchanged ones was exchanged with none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exchange:
-    """Two sensors that were exchanged."""
+    """Two sensors that were exchanged, or some of several."""
 
     first: int
     """Index of the first recording with the exchange."""
@@ -36,6 +39,8 @@ class Exchange:
     sensors: tuple[int, int]
     by_k: float
     """How far the one that is told better is from what the others say [K]."""
+    among: tuple[int, ...] = ()
+    """Where others do not fit either: all that do not, of which nobody knows which were exchanged."""
 
 
 def exchanges(recordings: Sequence[Recording]) -> list[Exchange]:
@@ -46,7 +51,7 @@ def exchanges(recordings: Sequence[Recording]) -> list[Exchange]:
     if not recordings or any(one.temperature_names != recordings[0].temperature_names for one in recordings):
         return []
     parts = parts_of([recording.downsampled(SAMPLE_S) for recording in recordings], 1)
-    sensors = moving(parts)
+    moved = sensors = moving(parts)
     found: list[Exchange] = []
     while len(parts) > 1 and len(sensors) >= FEWEST_SENSORS and len(found) < MOST_EXCHANGES:
         best = _best_exchange(parts, sensors)
@@ -54,7 +59,42 @@ def exchanges(recordings: Sequence[Recording]) -> list[Exchange]:
             break
         found.append(best)
         sensors = [sensor for sensor in sensors if sensor not in best.sensors]
-    return found
+    among = _among(parts, moved, found) if found else ()
+    return [replace(found[0], among=among)] if among else found
+
+
+def _among(parts: Sequence[Part], sensors: Sequence[int], found: Sequence[Exchange]) -> tuple[int, ...]:
+    """Return which sensors do not fit, where some still do not with all exchanges changed back; else nothing.
+
+    They are looked for at every recording, because what is between two changes hides some of them.
+    """
+    tables = [part.centred_k[:, sensors] for part in parts]
+    least_k2 = (CHANGED_BACK * min(one.by_k for one in found)) ** 2
+    has_first = _having(parts, found[0])
+    as_they_are = _left_k2(tables, has_first)
+    for one in found:
+        own, other = (sensors.index(sensor) for sensor in one.sensors)
+        for table in (table for table, has in zip(tables, _having(parts, one), strict=True) if has):
+            table[:, [own, other]] = table[:, [other, own]]
+    later = [[index >= first for index in range(len(parts))] for first, alone in _splits(len(parts)) if not alone]
+    changed_back = np.max([_left_k2(tables, having) for having in (has_first, *later)], axis=0)
+    if (changed_back > least_k2).sum() < FEWEST_UNEXPLAINED:
+        return ()
+    unexplained = np.maximum(as_they_are, changed_back) > least_k2
+    named = {sensor for one in found for sensor in one.sensors}
+    return tuple(sensor for at, sensor in enumerate(sensors) if unexplained[at] or sensor in named)
+
+
+def _having(parts: Sequence[Part], found: Exchange) -> list[bool]:
+    """Return which parts have an exchange."""
+    return [part.recording == found.first or (part.recording > found.first and not found.alone) for part in parts]
+
+
+def _left_k2(tables: Sequence[FloatArray], having: Sequence[bool]) -> FloatArray:
+    """Return what each sensor leaves when the tables with an exchange are predicted by the others, and back [K^2]."""
+    squares, rows = [table.T @ table for table in tables], [len(table) for table in tables]
+    a, b = (_Side.of(squares, rows, [one is which for one in having]) for which in (False, True))
+    return np.asarray((b.rows * _Left(b, a).as_it_is + a.rows * _Left(a, b).as_it_is) / (a.rows + b.rows))
 
 
 def _best_exchange(parts: Sequence[Part], sensors: Sequence[int]) -> Exchange | None:

@@ -48,6 +48,8 @@ CLOCK_CHANGE_S = 3600.0
 """So far a wall clock jumps in spring [s]."""
 MOST_NAMED = 3
 """So many recordings are named of which the same is said."""
+MOST_AMONG = 12
+"""So many sensors are named among which some were exchanged."""
 WARMEST_START_DEGC = 50.0
 """Where no temperature is ever below this, they are not in degC: a cold workshop of 10 degC has 50 degF."""
 
@@ -112,7 +114,7 @@ def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording],
     warnings = said_together([(r.name, str(finding)) for r in recordings for finding in require_usable(r, together)])
     possible = [recording.without_impossible() for recording in recordings]
     exchanged = exchanges(possible)
-    known = {sensor for found in exchanged for sensor in found.sensors}
+    known = {sensor for found in exchanged for sensor in (*found.sensors, *found.among)}
     disagreeing = [f"{possible[found.first].name}: {_exchange(possible, found)}" for found in exchanged]
     disagreeing += [
         f"{possible[found.recording].name}: {_disagreement(possible, found)}"
@@ -145,14 +147,22 @@ def said_together(sentences: Sequence[tuple[str, str]]) -> list[str]:
     return [f"{_listed(of)}: {sentence}" for sentence, of in names.items()]
 
 
-def _listed(names: Sequence[str]) -> str:
-    rest = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    return ", ".join(names[:MOST_NAMED]) + rest
+def _listed(names: Sequence[str], most: int = MOST_NAMED) -> str:
+    rest = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + rest
 
 
 def _exchange(recordings: Sequence[Recording], found: Exchange) -> Finding:
-    """Return what is said of two sensors that were exchanged."""
+    """Return what is said of two sensors that were exchanged, or of several of which some were."""
     names = recordings[found.first].temperature_names
+    if found.among:
+        where = "in this recording alone" if found.alone else "from this recording on"
+        sentence = (
+            f"some of these temperatures do {where} what others of them do elsewhere: several seem to be exchanged, "
+            "which is not told. Look where the cables of all of them go, and exchange the names in the header of the "
+            "files that are wrong, or train without those files (--without)"
+        )
+        return _warning(_listed([names[sensor] for sensor in found.among], MOST_AMONG), None, sentence)
     one, other = (names[sensor] for sensor in found.sensors)
     as_before = f"from this recording on what {other} did before, and {other} what {one} did"
     as_elsewhere = f"in this recording alone what {other} does in the others, and {other} what {one} does"

@@ -75,6 +75,25 @@ def test_the_warning_says_which_from_where_on_and_what_to_do_and_blames_no_other
     )
 
 
+@pytest.mark.parametrize(
+    ("pairs", "first"), [(((0, 2), (1, 3)), 3), (((0, 4), (2, 5)), 2), (((0, 2), (1, 4)), 2), (((2, 4), (1, 5)), 3)]
+)
+def test_of_two_pairs_among_six_sensors_none_is_named_alone_where_others_explain_as_much(
+    pairs: tuple[tuple[int, int], tuple[int, int]], first: int
+) -> None:
+    """Before, healthy T5 and T6 were said to be exchanged for each other; nobody can know which of the six it was."""
+    recordings = RUNS
+    for one, other in pairs:
+        recordings = exchanged(recordings, one, other, range(first, 6))
+    (found,) = exchanges(recordings)
+    assert {sensor for pair in pairs for sensor in pair} <= set(found.among)
+    _, warnings = usable_recordings(recordings)
+    assert not any("what T" in warning for warning in warnings)
+    names = ", ".join(f"T{sensor + 1}" for sensor in found.among)
+    (said,) = [warning for warning in warnings if "several seem to be exchanged" in warning]
+    assert f"column {names}: some of these temperatures do from this recording on what others of them do" in said
+
+
 def test_another_regime_from_one_recording_on_and_sensors_that_agree_are_no_exchange() -> None:
     assert exchanges(RUNS) == [] == exchanges(RUNS[:1]) == exchanges([])
     other = [run(seed, (0.1, 2.0)) for seed in (3, 4, 5)]

@@ -26,7 +26,7 @@ from models.thermal.training.fleet.places import Part, matching, places_of_type
 from models.thermal.training.fleet.prior import mean_of_type, prior_recipe
 from models.thermal.training.fleet.products import Products, products_of, space_of
 from models.thermal.training.inputs import with_sensors
-from models.thermal.training.train_family import train_family
+from models.thermal.training.train_family import FamilyTraining, train_family
 
 CREATED = "2026-01-01T00:00:00+00:00"
 SENSORS = few_sensors(12)
@@ -62,9 +62,12 @@ def products(of_type: MachineType, recordings: list[Recording]) -> list[Products
     return found
 
 
+def training(of_type: MachineType, recordings: list[Recording]) -> FamilyTraining:
+    return train_family(recordings, prior_recipe(of_type, NAMED, "sister"), sample_s=60.0, created=CREATED)
+
+
 def trained(of_type: MachineType, recordings: list[Recording]) -> LinearModel:
-    recipe = prior_recipe(of_type, NAMED, "sister")
-    model = train_family(recordings, recipe, sample_s=60.0, created=CREATED).model
+    model = training(of_type, recordings).model
     assert isinstance(model, LinearModel)
     return model
 
@@ -102,6 +105,20 @@ def test_one_recording_makes_a_model_that_helps_and_that_the_daemon_loads(
     assert outcome is not None
     expected = model.recorded_um(minutes.time_s / 60.0, columns, minutes.speed_rpm, 0)[-1]
     assert np.allclose(outcome.thermal_error_um, expected, atol=1e-6)
+
+
+def test_what_to_record_next_is_what_the_guide_says_of_few_recordings(
+    of_type: MachineType, sister: list[Recording]
+) -> None:
+    """It said to record five more runs, to tell families apart of which none is chosen."""
+    warm_up = sister[0].between_hours(0.0, 1.0)
+    found = [training(of_type, [warm_up]), training(of_type, sister[:2]), training(of_type, sister[:3])]
+    assert [[sentence.split(": record ")[1] for sentence in one.advice] for one in found] == [
+        ["2 more runs, a warm-up and a cooling of this machine, and train again with all of them"],
+        ["1 more run, a warm-up and a cooling of this machine, and train again with all of them"],
+        [],
+    ]
+    assert found[0].advice[0].startswith("of 1 recording a combination of its sisters' models is made")
 
 
 def test_the_model_is_the_combination_and_its_domain_and_band_are_not_narrower_than_the_types(

@@ -38,7 +38,7 @@ def advice(inputs: Inputs, rows: BoolArray, independent: int) -> tuple[str, ...]
         hours = max(2.0, np.ceil(longest_min / 60.0)) if len(spans_min) > 1 else 4.0
         found.append(
             f"{independent or 'no'} whole {'runs or cycles' if independent > 1 else 'run or cycle'} can be left out, "
-            f"which tells families and sensors apart badly: record {_more_runs(ENOUGH - independent)} of about "
+            f"which tells families and sensors apart badly: record {more_runs(ENOUGH - independent)} of about "
             f"{hours:.0f} h, {'each ' * (ENOUGH - independent > 1)}from a machine at rest, half of the time warming at "
             "another speed than before and half standing still"
         )
@@ -47,6 +47,12 @@ def advice(inputs: Inputs, rows: BoolArray, independent: int) -> tuple[str, ...]
             f"the longest run lasts {longest_min:.0f} min, so nothing that takes longer can be learned: record at "
             f"least one run of {2.0 * SHORT_RUN_MIN / 60.0:.0f} h with the cooling after it"
         )
+    return (*found, *still_channels(inputs, rows))
+
+
+def still_channels(inputs: Inputs, rows: BoolArray) -> tuple[str, ...]:
+    """Return what to do about channels that hardly move; `inputs` and `rows`: the recordings and the training rows."""
+    found = []
     noise_um = scatter_um([inputs.measured_um[part] for part in fold_segments(inputs, rows)])
     for channel, name in enumerate(inputs.channels):
         values = inputs.measured_um[rows, channel]
@@ -68,7 +74,8 @@ def _whole(inputs: Inputs, rows: BoolArray, independent: int) -> int:
     return min(independent, runs) if runs > 1 else 0
 
 
-def _more_runs(count: int) -> str:
+def more_runs(count: int) -> str:
+    """Return a number of runs to record, such as `1 more run`."""
     return counted(count, "more run")
 
 
@@ -83,7 +90,7 @@ def worse_channels(held_out: ResidualMetrics | None, explained: Sequence[str] = 
     offered = f"train without it (--channels {shlex.quote(','.join(good))}), or " if good else ""
     return tuple(
         f"channel {name}: on what was left out the model leaves {with_um:.3g} um of {without_um:.3g} um, which is no "
-        f"better than no compensation; let no axis follow it: {offered}record {_more_runs(2)} in which this channel "
+        f"better than no compensation; let no axis follow it: {offered}record {more_runs(2)} in which this channel "
         "moves by several times as much, each warming at another speed and then cooling"
         for name, with_um, without_um in zip(
             held_out.channels, held_out.rmse_with_um, held_out.rmse_without_um, strict=True
@@ -105,6 +112,6 @@ def indistinct(chosen: str, relative_rmse: Mapping[str, float], independent: int
     return (
         f"these recordings cannot tell {', '.join(map(repr, [chosen, *same]))} apart, which leave the same of the "
         f"left-out error within {SAME:.1%}; {chosen!r} was taken. To tell them apart record "
-        f"{_more_runs(TELLS_APART - independent)}{', each' * (TELLS_APART - independent > 1)} at speeds and with "
+        f"{more_runs(TELLS_APART - independent)}{', each' * (TELLS_APART - independent > 1)} at speeds and with "
         "pauses that no run has had yet",
     )

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from functools import partial
 
 from models.thermal.family import ThermalModel
+from models.thermal.features import BoolArray
+from models.thermal.training.advice import advice
 from models.thermal.training.choice import ON_TEMPERATURES, ChosenProblem
 from models.thermal.training.families import Prepare, ridge_family
 from models.thermal.training.folds import FEWEST_CYCLES
@@ -14,6 +16,7 @@ from models.thermal.training.increment_family import (
     increments_with_drift,
     increments_without_drift,
 )
+from models.thermal.training.inputs import Inputs
 from models.thermal.training.linear_families import LassoProblem, PartialLeastSquaresProblem
 from models.thermal.training.making import Fitted, make_linear_model
 
@@ -35,6 +38,8 @@ class Recipe:
     """Lags of temperatures and of speed that it needs [min]; None: those that the rows can teach."""
     make: Callable[[Fitted], ThermalModel] = make_linear_model
     """Makes the model of what was fitted."""
+    advice: Callable[[Inputs, BoolArray, int], tuple[str, ...]] = advice
+    """Says what to record next."""
 
 
 RECIPES = {

@@ -14,7 +14,7 @@ from models.thermal.family import ThermalModel
 from models.thermal.features import BoolArray, IntArray
 from models.thermal.model import CHANNEL_SCORES, MACHINE, HyperParameters, TrainingData
 from models.thermal.sensor_watch import SensorWatch
-from models.thermal.training.advice import advice, indistinct, worse_channels
+from models.thermal.training.advice import indistinct, worse_channels
 from models.thermal.training.choice import Choice, ChosenProblem
 from models.thermal.training.families import Fit, fold_numbers
 from models.thermal.training.inputs import Inputs, build_inputs, temperatures_alone, unusable_sensors, with_sensors
@@ -130,7 +130,7 @@ def train_family(
         counts=fit.counts,
         drift_um_per_min=fit.drift_um_per_min,
         warnings=warnings,
-        advice=_advice(prepared, trust),
+        advice=_advice(recipe, prepared, trust),
         choice=problem.choice if isinstance(problem, ChosenProblem) else None,
     )
 
@@ -181,11 +181,11 @@ def _score(trust: Trust) -> HyperParameters:
     return {"held_out_relative_rmse": round(score, 4), CHANNEL_SCORES: of_channels}
 
 
-def _advice(prepared: Prepared, trust: Trust) -> tuple[str, ...]:
+def _advice(recipe: Recipe, prepared: Prepared, trust: Trust) -> tuple[str, ...]:
     inputs, rows, fold, problem = prepared.inputs, prepared.rows, prepared.fold, prepared.problem
     numbers = fold_numbers(rows, fold)
     independent = independent_folds(inputs, rows, len(numbers)) if len(numbers) > 1 else 0
-    found = prepared.reversed_runs + advice(inputs, rows, independent)
+    found = prepared.reversed_runs + recipe.advice(inputs, rows, independent)
     if isinstance(problem, ChosenProblem):
         scores = {one.family: one.relative_rmse for one in problem.choice.candidates if one.refused is None}
         found += indistinct(problem.choice.family, scores, independent)

@@ -12,6 +12,7 @@ from models.recordings.jumps import scatter_um
 from models.records import FloatArray
 from models.thermal.features import BoolArray, IntArray
 from models.thermal.solution import band_factor
+from models.thermal.training.advice import more_runs
 from models.thermal.training.domain import farthest_leverage, leverage_positions
 from models.thermal.training.evaluation import ResidualMetrics
 from models.thermal.training.families import Fit, Problem, fold_numbers, held_out_metrics, relative_rmse
@@ -132,13 +133,13 @@ def judge(
 
 def _reason(inputs: Inputs, rows: BoolArray, score: float, skill: list[float]) -> str | None:
     runs = len(np.unique(inputs.run[rows]))
-    seen = excursions(inputs, rows)
+    seen, more = excursions(inputs, rows), FEWEST_RUNS - runs
     if seen < FEWEST_EXCURSIONS and runs < FEWEST_RUNS:
         return (
             f"training saw {counted(seen, 'excursion')} of more than {EXCURSION_SHARE:.0%} of the span in "
             f"{counted(runs, 'run')}; "
-            f"{FEWEST_EXCURSIONS} alternating ones or {FEWEST_RUNS} separate runs are needed: record {FEWEST_RUNS} "
-            "runs of about 4 h, each warming for half of the time and then cooling"
+            f"{FEWEST_EXCURSIONS} alternating ones or {FEWEST_RUNS} separate runs are needed: record "
+            f"{more_runs(more)} of about 4 h, {'each ' * (more > 1)}warming for half of the time and then cooling"
         )
     if not score < 1.0:
         return f"{score:.0%} of the error remains on what was left out: it is no better than no compensation"

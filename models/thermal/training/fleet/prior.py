@@ -10,11 +10,13 @@ from functools import partial
 import numpy as np
 
 from models.recordings.dataset import DatasetError
+from models.recordings.findings import counted
 from models.records import FloatArray
 from models.thermal.features import BoolArray, IntArray, Layout, design_columns
 from models.thermal.linear import LinearModel
 from models.thermal.model import CHANNEL_SCORES, Domain, HyperParameters, TestVector
 from models.thermal.solution import Solution
+from models.thermal.training.advice import more_runs, still_channels
 from models.thermal.training.families import Fit, fold_numbers, ridge_fit
 from models.thermal.training.fleet.combination import FEW, taken_over, weighed
 from models.thermal.training.fleet.machine_type import COUNTS, MachineType
@@ -49,7 +51,20 @@ def prior_recipe(of_type: MachineType, parts: Mapping[str, Part], machine: str) 
         lags=True,
         needed_lags_min=(layout.lags_min, layout.speed_lags_min),
         make=partial(_make, of_type, parts, machine),
+        advice=_advice,
     )
+
+
+def _advice(inputs: Inputs, rows: BoolArray, independent: int) -> tuple[str, ...]:
+    """Return what to record next beside what the type knows: families and what takes long are known from there."""
+    runs = len(np.unique(inputs.run[rows]))
+    if runs > FEW:
+        return still_channels(inputs, rows)
+    sentence = (
+        f"of {counted(runs, 'recording')} a combination of its sisters' models is made, and no watch of the sensors: "
+        f"record {more_runs(FEW + 1 - runs)}, a warm-up and a cooling of this machine, and train again with all of them"
+    )
+    return (sentence, *still_channels(inputs, rows))
 
 
 class Sister:
