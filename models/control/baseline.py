@@ -188,7 +188,7 @@ def probe_inhibit(
         return Inhibit(code=InhibitCode.NO_ESTIMATE, text="the axis has no estimate")
     if why := _in_fault(memory, inputs) or _incomplete(inputs, limits) or probe_of_tool_inhibit(memory, inputs):
         return why
-    correction = inputs.applied_um - probe_um - request_um(memory, inputs)
+    correction = inputs.applied_um - probe_um - request_um(_weighed_anew(memory, inputs, limits), inputs)
     for axis, change in zip(limits.axes, correction, strict=True):
         if abs(change) > limits.probe_bound_um:
             return Inhibit(
@@ -274,12 +274,21 @@ def take_probe(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits)
     """
     if inputs.probe_um is None or memory.reference_id is None or inputs.output_fault is not None:
         return _offset_now(memory, inputs, limits)
+    memory = _weighed_anew(memory, inputs, limits)
     correction = inputs.applied_um - inputs.probe_um - request_um(memory, inputs)
     probed = replace(_probed(memory, inputs.now_s), bias_um=-memory.offset_um)
     kalman = _bias_filter(None if offset_is_unsure(memory, inputs) else inputs.probe_wander, limits)
     probed = kalman.correct(probed, inputs.now_s / 60.0, -memory.offset_um - correction, _weighed_um(memory, inputs))
     memory = with_probed(memory, inputs, inputs.probe_um)
     return replace(memory, offset_um=-probed.bias_um, probed=probed)
+
+
+def _weighed_anew(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> OutputMemory:
+    """Return the memory with the weight of the confidence now: a probe counts from what the estimate is worth.
+
+    The weight of before, which a cut may have kept, would be renewed after it, and add what the probe has corrected.
+    """
+    return replace(memory, weight=weight_of(inputs.confidence, limits))
 
 
 def _offset_now(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> OutputMemory:

@@ -94,6 +94,22 @@ def test_a_probe_value_is_cancelled_from_then_on():
     assert machine.applied == pytest.approx([3.0, 18.0], abs=0.02)
 
 
+@pytest.mark.parametrize("phase", [Phase.CUTTING, Phase.SAFE_POINT])
+def test_a_probe_after_a_cut_with_sensors_away_is_not_counted_twice_once_they_weigh_again(phase):
+    """Seed 1001, day 11: the weight of before the probe was renewed after it, and Z stood 1.7 um off in ACTIVE."""
+    machine = Machine().following()
+    machine.set(confidence=0.7).step(60)
+    machine.set(phase=Phase.CUTTING).step(60)
+    machine.set(confidence=1.0).step(60)
+    assert (machine.memory.weight, machine.applied[1]) == (pytest.approx(0.5), pytest.approx(10.0, abs=0.02))
+    deviation = np.array([np.nan, -9.0])  # the model is 1 um off
+    machine.set(phase=phase)
+    assert probe_inhibit(machine.memory, machine.inputs(), LIMITS, None, deviation) is None
+    machine.step(probe_um=deviation).step(60)
+    machine.set(phase=Phase.SAFE_POINT).step(60)
+    assert machine.applied == pytest.approx([3.0, 19.0], abs=0.02)
+
+
 @pytest.mark.parametrize(
     ("deviation", "changes", "inhibit", "words"),
     [
