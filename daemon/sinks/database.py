@@ -62,8 +62,8 @@ def scripts() -> list[tuple[int, str]]:
 def key_of(stream: Stream) -> sql.Composable:
     """Return what tells rows of a stream apart: a repeat is left out by that alone, whatever else a table has got."""
     names = ("machine", *(COLUMNS.get(name, name) for name in KEYS[stream.name]))
-    as_text = {"text": sql.SQL("md5(text)")}  # the schema's own index of events
-    return sql.SQL(", ").join(as_text.get(name, sql.Identifier(name)) for name in names)
+    hashed = {"text": sql.SQL("md5(text)"), "um": sql.SQL("md5(um::text)")}  # as the schema's own indexes have them
+    return sql.SQL(", ").join(hashed.get(name, sql.Identifier(name)) for name in names)
 
 
 def authorities() -> str:

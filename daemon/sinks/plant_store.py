@@ -321,8 +321,9 @@ def store_status(config: PlantStoreConfig) -> dict[str, Any]:
             "SELECT count(*) > 0 FROM pg_stat_activity WHERE application_name = %s", (STORE,)
         ).fetchone() or (False,)
         found = ask(
-            "SELECT machine, extract(epoch FROM max(newest))::float8, extract(epoch FROM max(delivered))::float8, "
-            "extract(epoch FROM now() - least(max(newest), max(delivered)))::float8 "
+            "SELECT machine, extract(epoch FROM max(newest))::float8, "
+            "extract(epoch FROM greatest(max(delivered), max(stored)))::float8, "
+            "extract(epoch FROM now() - least(max(newest), greatest(max(delivered), max(stored))))::float8 "
             "FROM deliveries GROUP BY machine ORDER BY machine"
         ).fetchall()
     except (psycopg.Error, OSError) as error:
@@ -350,10 +351,11 @@ def _put(database: Database, rows: Sequence[StoredRow]) -> None:
             days = {row.utc_ms // DAY_MS for row in some}
             database.put(STREAMS[name], ((row.machine, *row.values) for row in some), days)
         with connection.cursor() as cursor:
-            # The positions are those of a sink that sends to the database itself, where a machine has one.
+            # Generation, positions and `delivered` are those of a sink that sends to the database itself, where a
+            # machine has one.
             cursor.executemany(
-                "INSERT INTO deliveries (machine, stream, generation, last_row, last_chunk, newest) "
-                "VALUES (%s, %s, '', 0, 0, %s) ON CONFLICT (machine, stream) DO UPDATE SET "
-                "newest = greatest(deliveries.newest, excluded.newest), delivered = now()",
+                "INSERT INTO deliveries (machine, stream, generation, last_row, last_chunk, newest, stored) "
+                "VALUES (%s, %s, '', 0, 0, %s, now()) ON CONFLICT (machine, stream) DO UPDATE SET "
+                "newest = greatest(deliveries.newest, excluded.newest), stored = now()",
                 [(machine, stream, time_of(ms)) for (machine, stream), ms in sorted(newest.items())],
             )

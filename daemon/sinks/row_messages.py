@@ -13,12 +13,14 @@ KEYS = {
     "estimates": ("line", "utc_ms", "monotonic_ms"),
     "writes": ("utc_ms", "write_id"),
     "cnc": ("utc_ms", "monotonic_ms"),
-    "displacements": ("utc_ms", "source"),
+    "displacements": ("utc_ms", "source", "um"),
     "events": ("utc_ms", "monotonic_ms", "kind", "text"),
     "probes": ("utc_ms", "monotonic_ms", "axis"),
     "references": ("utc_ms", "reference_id"),
 }
 """Stream -> the columns that, with machine and stream, no other row has: those of the tables in PostgreSQL."""
+HASHED = ("text", "um")
+"""Columns of which a key holds a hash."""
 JSON_COLUMNS = frozenset(
     (
         *("faults", "thermal_error_um", "band_um", "label_degc", "label_reference_degc", "imputed", "requested_um"),
@@ -47,7 +49,7 @@ def row_messages(batch: Batch, machine: str) -> Iterator[bytes]:
 
 
 def _short(column: str, value: Any) -> str:
-    return hashlib.sha256(value.encode()).hexdigest()[:16] if column == "text" else str(value)
+    return hashlib.sha256(value.encode()).hexdigest()[:16] if column in HASHED else str(value)
 
 
 def _field(column: str, value: Any) -> str:

@@ -24,18 +24,26 @@ from mosquitto import wait_until
 from postgresql import PASSWORD, PATIENCE_S, Server, postgresql
 
 from config.sample import sample_configuration
+from config.schema.plant_store import PlantStoreConfig
 from config.schema.service import HistoryConfig
 from config.schema.sinks import PostgresqlConfig, SinkConfig
 from daemon.history import HistoryReader, HistoryWriter, housekeeping
 from daemon.history.cursors import Cursor, Position, cursor_path
 from daemon.sinks.contract import SinkError
-from daemon.sinks.database import PARTITIONED, Database, authorities, scripts
+from daemon.sinks.database import PARTITIONED, STORE, Database, authorities, scripts
 from daemon.sinks.outbox import STREAMS
+from daemon.sinks.plant_store import _put, row_of, store_status
 from daemon.sinks.postgresql import PostgresqlSink
 from daemon.sinks.postgresql_refusals import refusal
 from daemon.sinks.running import SinkRunner, make_sink
 
 MACHINE = "mill 7"
+NOTE = json.dumps(
+    {
+        **{"key": "k", "machine": "mill 7", "stream": "events", "utc_ms": 1_760_000_400_000, "monotonic_ms": 5},
+        **{"kind": "note", "text": "warm", "person": None},
+    }
+).encode()
 CONFIG = HistoryConfig(pack_after_s=3600.0)
 
 
@@ -261,6 +269,39 @@ def test_two_machines_of_one_name_do_not_mix_their_rows(server: Server, tmp_path
     assert "another store" in send(server, tmp_path, first).problem, "it comes back"
 
 
+def test_two_machines_of_one_name_do_not_mix_while_a_plants_store_is_connected(
+    server: Server, tmp_path: Path
+) -> None:
+    first, second = tmp_path / "1.sqlite", tmp_path / "2.sqlite"
+    for store in (first, second):
+        fill(store, hours=0.5)
+    assert send(server, tmp_path, first).problem == ""
+    with contextlib.closing(Database(section(server, tmp_path).postgresql, "database", STORE)) as database:
+        database.open()
+        assert "another store has sent" in send(server, tmp_path, second).problem
+        a_minute_later(server)
+        row = row_of("toolpoint/mill 7/history/events", NOTE, "toolpoint")
+        _put(database, [row])
+        assert send(server, tmp_path, second).problem == "", "the first is off; what comes over a broker is another way"
+        late = store_status(PlantStoreConfig(mqtt={"host": "broker"}, postgresql=section(server, tmp_path).postgresql))
+        assert late["running"] and late["machines"][0]["stored_utc_s"] > time.time() - 60.0
+
+
+def test_two_readings_of_one_time_both_arrive_once(server: Server, tmp_path: Path) -> None:
+    """As a clock makes them that is set back, or a file that tells whole seconds."""
+    store = tmp_path / "h.sqlite"
+    writer = HistoryWriter(store, clock=StillClock(), machine=SMALL)
+    writer.start()
+    for um in ((1.0, 2.0, 3.0), (1.0, 2.0, 3.5), (1.0, 2.0, 3.0)):
+        writer.displacement(make.displacement(EPOCH_S, np.array(um)))
+    writer.close()
+    query = "SELECT (um->>'dy')::float8, (um->>'dz')::float8 FROM toolpoint.displacements ORDER BY 2"
+    for _ in range(2):
+        assert send(server, tmp_path, store).problem == ""
+        assert server.ask(query) == [(2.0, 3.0), (2.0, 3.5)]
+        server.ask("DELETE FROM toolpoint.deliveries RETURNING 1")
+
+
 def test_wrong_clocks_are_stored_beside_the_months(server: Server, tmp_path: Path) -> None:
     store = tmp_path / "h.sqlite"
     for start_s in (0.0, 5e9, EPOCH_S):
@@ -441,7 +482,7 @@ def test_a_newer_schema_is_refused_and_left_alone(server: Server, tmp_path: Path
     before = counts(server)
     fill(store, start_s=EPOCH_S + 7200.0, hours=0.5)
     cursor = send(server, tmp_path, store)
-    assert "version 99, this version of toolpoint knows up to 4" in cursor.problem
+    assert "version 99, this version of toolpoint knows up to 5" in cursor.problem
     assert counts(server) == before
 
 
