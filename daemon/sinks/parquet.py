@@ -4,6 +4,7 @@ A day is written again when rows of it come late, always from the store, so that
 file has and the store has no longer, or never had, stays in it.
 """
 
+import hashlib
 import io
 import json
 import time
@@ -37,6 +38,8 @@ DAY_S = 86_400.0
 GRACE_S = 7200.0
 """A day is written this long after its end: its last writes have found their outcome by then."""
 LOOK_PERIOD_S = 60.0
+LONGEST_NAME = 255
+"""Bytes that a name may have in a folder."""
 LEVEL = 18
 """Of the compression: two seconds of processor time for a day, an eighth less room than 9; 19 takes 40 MiB more."""
 ONE_PAGE = 2**30
@@ -89,15 +92,35 @@ class ParquetSink:
         """Write one day of a stream; return its records, 0 where the file there has all of them and more."""
         assert self._files is not None
         date = datetime.fromtimestamp(day * DAY_S, UTC).date().isoformat()
-        name = f"{stream.name}/machine={quote(self._machine, safe=' ')}/{date}.parquet"
+        name = f"{stream.name}/{machine_folder(self._machine)}/{date}.parquet"
         file = day_file(outbox, stream, day)
         try:
             if file.rows == 0 or (content := _with_what_is_there(file, partial(self._files.read, name))) is None:
                 return 0
             self._files.put(name, content)
-        except (OSError, pyarrow.ArrowException) as error:
+        except OSError as error:
             raise SinkError(f"{self._where}: {name} cannot be written: {error}") from error
+        except (pyarrow.ArrowException, KeyError) as error:
+            raise SinkError(
+                f"{self._where}: {name}: what stands there is no such file, or damaged: move it away ({error})"
+            ) from error
         return file.records
+
+
+def machine_folder(machine: str) -> str:
+    """Return the folder of a machine's files, by which readers know it, of a length that every system takes.
+
+    What is no ASCII letter, digit, blank or one of -._~ stands there by its bytes after a %. Where that is too long,
+    letters of other scripts stand as they are; where that is too long too, the name is cut, and a hash keeps it apart.
+    """
+    pieces = [each if each > "\x7f" else quote(each, safe=" ") for each in machine]
+    for name in (quote(machine, safe=" "), "".join(pieces)):
+        if len(f"machine={name}".encode()) <= LONGEST_NAME:
+            return f"machine={name}"
+    end = f"~{hashlib.sha256(machine.encode()).hexdigest()[:16]}"
+    while len(f"machine={''.join(pieces)}{end}".encode()) > LONGEST_NAME:
+        pieces.pop()
+    return f"machine={''.join(pieces)}{end}"
 
 
 def _waiting(after: Position, days: list[int]) -> Position:

@@ -18,8 +18,9 @@ from daemon.sinks.contract import SinkError
 from daemon.sinks.outbox import STREAMS, Outbox
 from daemon.sinks.running import SinkRunner
 
-parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
-from daemon.sinks.parquet import ParquetSink  # noqa: E402 - needs pyarrow
+pyarrow = pytest.importorskip("pyarrow", reason="pyarrow is not installed")
+parquet = pytest.importorskip("pyarrow.parquet")
+from daemon.sinks.parquet import ParquetSink, machine_folder  # noqa: E402 - needs pyarrow
 
 PAGE = Path(__file__).parents[2] / "docs/how-to/send-history-to-a-plant.md"
 DAY_S = 86_400.0
@@ -167,6 +168,46 @@ def test_a_full_disk_leaves_no_half_file(tmp_path: Path) -> None:
     assert "cannot be written" in said and "2025-10-09.parquet" in said
     assert all(rows == 144 for rows in files(folder).values()), "every file that is there is whole"
     assert send(store, folder, MIDNIGHT_S + 2 * DAY_S).problem == "" and len(files(folder)) == 7
+
+
+@pytest.mark.parametrize("content", [b"", b"PAR1 is how it begins", "foreign"])
+def test_what_is_no_file_of_this_sink_is_named_and_left_alone(tmp_path: Path, content: bytes | str) -> None:
+    store, folder = tmp_path / "h.sqlite", tmp_path / "files"
+    fill(store, MIDNIGHT_S, 24.0)
+    place = folder / "cnc/machine=mill%2F7 north/2025-10-09.parquet"
+    place.parent.mkdir(parents=True)
+    if isinstance(content, bytes):
+        place.write_bytes(content)
+    else:
+        parquet.write_table(pyarrow.table({content: [1]}), place)
+    before = place.read_bytes()
+    said = send(store, folder, MIDNIGHT_S + 2 * DAY_S).problem
+    assert "sink files: " in said and "2025-10-09.parquet: what stands there is no such file" in said
+    assert place.read_bytes() == before
+    place.unlink()
+    assert send(store, folder, MIDNIGHT_S + 2 * DAY_S).problem == "" and len(files(folder)) == 7
+
+
+@pytest.mark.parametrize(
+    "machine", ["a/b" * 60, "数控机床第三车间" * 3 + "/七", "数控机床" * 50, "\U0001f3ed" * 200, "é" * 200]
+)
+def test_a_machine_with_a_long_name_of_any_script_has_its_files(tmp_path: Path, machine: str) -> None:
+    duckdb = pytest.importorskip("duckdb", reason="duckdb is not installed")
+    store, folder = tmp_path / "h.sqlite", tmp_path / "files"
+    fill(store, MIDNIGHT_S, 0.5)
+    stop, section = threading.Event(), config(folder)
+
+    def sink(section: SinkConfig, machine: str) -> ParquetSink:
+        return ParquetSink(section, machine, now_utc_s=lambda: MIDNIGHT_S + 2 * DAY_S)
+
+    runner = SinkRunner(section, store, machine, stop, sink, wait=lambda _duration_s: stop.set())
+    runner.run()
+    assert runner.cursor.problem == "" and len(files(folder)) == 7
+    glob = f"{folder}/cnc/*/*.parquet"
+    found = duckdb.sql(f"SELECT DISTINCT machine FROM read_parquet('{glob}', hive_partitioning = true)").fetchall()
+    begins = found[0][0].partition("~")[0]
+    assert machine.startswith(begins) and len(begins) >= min(len(machine), 50)
+    assert len({machine_folder(each) for each in (machine, machine[:-1], machine[:-1] + "x")}) == 3
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:

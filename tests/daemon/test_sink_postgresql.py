@@ -269,9 +269,7 @@ def test_two_machines_of_one_name_do_not_mix_their_rows(server: Server, tmp_path
     assert "another store" in send(server, tmp_path, first).problem, "it comes back"
 
 
-def test_two_machines_of_one_name_do_not_mix_while_a_plants_store_is_connected(
-    server: Server, tmp_path: Path
-) -> None:
+def test_two_machines_of_one_name_do_not_mix_while_a_plants_store_is_connected(server: Server, tmp_path: Path) -> None:
     first, second = tmp_path / "1.sqlite", tmp_path / "2.sqlite"
     for store in (first, second):
         fill(store, hours=0.5)
