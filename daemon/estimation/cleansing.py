@@ -63,8 +63,7 @@ class Cleansing:
         self.least = configuration.compensation.output.min_confidence
         self._full = configuration.compensation.output.full_confidence
         """With less confidence the output holds."""
-        names = sorted(set(temperatures.components))
-        self._group = np.array([names.index(each) for each in temperatures.components], dtype=np.intp)
+        _, self._group = np.unique(temperatures.components, return_inverse=True)
         self._usable_at_s = np.full(len(position), -np.inf)
         self._silent = np.ones(len(position), dtype=np.bool_)
         self.levels = first_levels(len(position))
@@ -198,12 +197,14 @@ class Cleansing:
         self._lasting_k = dict([*self._lasting_k.items()][-LATEST:]) | {reference_id: self.levels.lasting_k}
 
     def count_again_from(self, reference_id: str) -> None:
-        """Doubt what was doubted since a reference of this run: those after it were refused."""
+        """Doubt what was doubted since a reference: those after it were refused, or the previous run had set it."""
         if (lasting_k := self._lasting_k.get(reference_id)) is not None:
             self.levels = counted_again(self.levels, lasting_k)
+        self._lasting_k = {reference_id: self.levels.lasting_k}
 
     def trust_temperatures(self) -> None:
         """Take the temperatures as they are at the reference: a person says that they are right."""
+        self._lasting_k = {each: before_k - self.levels.lasting_k for each, before_k in self._lasting_k.items()}
         self.levels = trusted(self.levels)
 
     def on_cycle(self, cycle: TemperatureCycle) -> MachineTemperatures:
@@ -225,8 +226,7 @@ class Cleansing:
         self._measured[indices] = cycle.degc
         degc = self.latest.degc.copy() if self.latest is not None else np.full(len(self._measured), np.nan)
         degc[indices] = result.degc
-        self._quality[indices] = result.quality
-        self._reason[indices] = result.reason
+        self._quality[indices], self._reason[indices] = result.quality, result.reason
         ages_s = age_s(self._state, now_s)
         stale = ages_s > self._rules.stale_after_s
         if stale.any():

@@ -7,7 +7,7 @@ import pytest
 from control_rig import SENSOR_IDS
 from thermal_rig import Task, model
 
-from daemon.messages import ReferenceRebased, ReferenceTakenUp
+from daemon.messages import ReferenceRebased, ReferenceTakenUp, TemperaturesTrusted
 
 
 @pytest.fixture
@@ -206,4 +206,48 @@ async def test_a_reference_that_another_one_was_refused_for_is_in_doubt_as_befor
     assert "the level of sensor 1 by 4.0 K" in task.estimates[-1].inhibit
     await task.minutes(2)
     assert task.estimates[-1].inhibit == "", "it is where it was"
+    task.history.close()
+
+
+@pytest.mark.parametrize("restarted", [False, True])
+async def test_nor_is_it_trusted_after_many_refusals_or_one_after_a_restart(tmp_path, restarted):
+    """A program that positions again and again under zero_first, or the first time since the daemon was started."""
+    task = Task(tmp_path, model())
+    task.history.start()
+    await task.minutes(3)
+    await task.ask("r1")
+    reference = task.references[-1]
+    await task.minutes(3, spindle=[24.0, 20.0, 20.0])
+    kept = task.taken_up(reference)
+    if restarted:
+        await task.history.flushed()
+        task = task.restarted(model())
+        await task.task._take(kept)
+        await task.minutes(2, spindle=[24.0, 20.0, 20.0])
+    for again in range(1 if restarted else 6):
+        await task.ask(f"refused {again}")
+        await task.task._take(kept)
+        await task.minutes(2, spindle=[24.0, 20.0, 20.0])
+        assert task.estimates[-1].reference_id == "r1"
+        assert "the level of sensor 1 by 4.0 K" in task.estimates[-1].inhibit, again
+    await task.minutes(2)
+    assert task.estimates[-1].inhibit == "", "it is where it was"
+    task.history.close()
+
+
+async def test_what_a_person_trusts_is_not_doubted_again_by_a_reference_that_is_refused(tmp_path):
+    task = Task(tmp_path, model())
+    task.history.start()
+    await task.minutes(3)
+    await task.ask("r0")
+    await task.minutes(3, spindle=[24.0, 20.0, 20.0])
+    await task.ask("r1")
+    reference = task.references[-1]
+    await task.minutes(1, spindle=[24.0, 20.0, 20.0])
+    kept = task.taken_up(reference)
+    await task.task._take(TemperaturesTrusted(person="a person"))
+    await task.ask("r2")
+    await task.task._take(kept)
+    await task.minutes(1, spindle=[24.0, 20.0, 20.0])
+    assert task.estimates[-1].reference_id == "r1" and task.estimates[-1].inhibit == ""
     task.history.close()
