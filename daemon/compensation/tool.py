@@ -17,6 +17,8 @@ class ToolInSpindle:
         self._polled: int | None = None
         self._named: tuple[int, int | None] | None = None
         """The program that has named the tool by the handshake, and what a poll showed then."""
+        self._shown: tuple[int, ...] = ()
+        """Other tools that polls have shown since then."""
         self._counted_from: str | None = None
         self._seen: dict[str, tuple[float, float]] = {}
         """Of each label since this reference when its sensors were last heard [s], and which mean increment [K]."""
@@ -39,7 +41,9 @@ class ToolInSpindle:
         gap_s, self._gap_s = self._gap_s, 0.0
         program_ended = self._named is not None and self._named[0] != self._program
         if self._named is not None and shown == self.number:
-            self._named = self._named[0], shown
+            self._named, self._shown = (self._named[0], shown), ()
+        elif self._named is not None and shown not in self._shown:
+            self._shown = (*self._shown, shown)
         if shown != self._polled or program_ended:
             changed = shown != (self._named[1] if self._named is not None else self._polled)
             self._polled = shown
@@ -55,18 +59,18 @@ class ToolInSpindle:
         if kept is None:
             self._polled = self.number = shown
             return
-        self._polled, self.number = kept.shown, kept.number
+        self._polled, self.number, self._shown = kept.shown, kept.number, kept.shown_since
         self._named = None if kept.named_by is None else (kept.named_by, kept.shown_when_named)
 
     def _keep(self) -> None:
-        by, shown_then = (None, None) if self._named is None else self._named
-        shown = self.number if self._polled is None else self._polled
-        seen = ToolSeen(number=self.number, shown=shown, named_by=by, shown_when_named=shown_then)
+        by, then = (None, None) if self._named is None else self._named
+        now = self.number if self._polled is None else self._polled
+        seen = ToolSeen(number=self.number, shown=now, named_by=by, shown_when_named=then, shown_since=self._shown)
         self._references.tool_seen = seen
 
     def name(self, number: int, estimate: ThermalErrorEstimate | None) -> None:
         """Take the NC program's word for the tool in the spindle: it counts until another program runs."""
-        self._named = self._program, self._polled
+        self._named, self._shown = (self._program, self._polled), () if self._polled is None else (self._polled,)
         self.begin(number, estimate)
         self._keep()
 
@@ -76,11 +80,11 @@ class ToolInSpindle:
 
     @property
     def in_question(self) -> tuple[int, ...]:
-        """The tools of which one is in the spindle, where it is not known which: a control may show the next one."""
+        """The tools of which one is in the spindle, where it is not known which: a control may have shown the next."""
         named = self._named
         if named is None or self._polled is None or self._polled in (named[1], self.number):
             return ()
-        return self._polled, self.number
+        return (*self._shown, self._polled, self.number)
 
     def inhibit(self) -> Inhibit | None:
         """Return why it is not known which tool is in the spindle, None where it is, or where it does not matter."""

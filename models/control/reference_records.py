@@ -105,6 +105,8 @@ class ToolSeen:
     named_by: int | None = None
     """The program that had named it; None: the control's word counted."""
     shown_when_named: int | None = None
+    shown_since: tuple[int, ...] = ()
+    """Other tools that the control has shown since then."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

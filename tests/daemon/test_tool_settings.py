@@ -155,6 +155,36 @@ async def test_while_it_is_not_known_which_tool_is_there_none_is_set_and_a_refer
         assert answer(bench) == 7.0 and rig.state == "ACTIVE"
 
 
+@pytest.mark.parametrize("restarted", [False, True])
+async def test_a_tool_that_was_shown_before_the_one_that_is_shown_now_is_in_doubt_too(bench, restarted):
+    """The control shows the tool that is prepared: the one that came unnamed is neither that nor the named one."""
+    async with running(bench.rig()) as rig:
+        await tool_2_set(rig, bench)
+        bench.nc.tool_number = 2
+        await rig.follow(0.0, -16.0, 10)
+        bench.nc.tool_number = 3
+        await rig.follow(0.0, -16.0, 5)
+        assert rig.state == "HOLD" and "shows T3, and the NC program has named T1" in rig.control.memory.reason
+        rig.alive()
+        if not restarted:
+            await work_positioned_with_tool_2(rig, bench)
+    if restarted:
+        bench.clock.monotonic_s += 5.0
+        async with running(bench.rig()) as rig:
+            await rig.turn()
+            await rig.follow(0.0, -16.0, 5)
+            await work_positioned_with_tool_2(rig, bench)
+
+
+async def work_positioned_with_tool_2(rig, bench):
+    rig.set_reference("r2")
+    await rig.follow(0.0, 0.0, 5)
+    ask(bench, 4, TOOL_CHANGE, 0, 2.0)
+    await rig.follow(0.0, 0.0, 40)
+    assert rig.applied["z"] == pytest.approx(12.0, abs=0.11), "where the work was positioned with it"
+    assert rig.state == "HOLD" and "T2 was set" in rig.control.memory.reason
+
+
 async def test_nor_is_the_very_first_tool_set_while_it_is_not_known_which_one_is_there(bench):
     """The program gave up naming T1: its setting would be that of T2, which is followed when T2 comes."""
     async with running(bench.rig()) as rig:
