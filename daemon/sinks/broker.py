@@ -38,8 +38,8 @@ IN_FLIGHT = 20
 """The library's own limit; it does not look at that of the broker."""
 ALWAYS, IF_NEW = 0, 1
 """Retained messages come when a subscription is made; whether they come again when it is renewed."""
-NOBODY, NOT_AUTHORISED, WITH_WILL = 16, 135, 4
-"""Reason codes: taken and passed on to nobody; not allowed; a farewell after which the will is published too."""
+NOBODY, NOT_AUTHORISED, WITHOUT_WILL, WITH_WILL = 16, 135, 0, 4
+"""Reason codes: taken and passed on to nobody; not allowed; farewells after which the will is not published, or is."""
 
 logging.getLogger("paho").setLevel(logging.CRITICAL + 1)  # what matters is raised here
 
@@ -154,11 +154,19 @@ class Broker:
 
     def wait_for(self, heard: Callable[[], bool], otherwise: str) -> None:
         """Wait for something that comes; raises SinkError with this text when it does not."""
+        if not self.hears(heard, self._config.timeout_s):
+            raise self.problem(otherwise)
+
+    def hears(self, heard: Callable[[], bool], within_s: float) -> bool:
+        """Wait for something that comes, at most so long; return whether it did. Raises SinkError after a loss."""
         with self._changed:
-            came = self._changed.wait_for(lambda: heard() or bool(self._lost), self._config.timeout_s)
+            came = self._changed.wait_for(lambda: heard() or bool(self._lost), within_s)
         self.check()
-        if not came:
-            raise SinkError(f"{self._where}: {otherwise}")
+        return came
+
+    def problem(self, text: str) -> SinkError:
+        """Return a text that names the broker."""
+        return SinkError(f"{self._where}: {text}")
 
     def send(self, message: Message) -> None:
         """Publish what has no acknowledgement of its own."""
@@ -170,14 +178,14 @@ class Broker:
             self._lost = self._lost or why
         self._say_farewell()
 
-    def close(self) -> None:
-        """Say farewell so that the will is published, and let go."""
-        self._say_farewell()
+    def close(self, *, will: bool = True) -> None:
+        """Say farewell so that the will is published, or not, and let go."""
+        self._say_farewell(WITH_WILL if will else WITHOUT_WILL)
         self._client.loop_stop()
 
-    def _say_farewell(self) -> None:
+    def _say_farewell(self, code: int = WITH_WILL) -> None:
         with contextlib.suppress(OSError, ValueError):
-            self._client.disconnect(ReasonCode(PacketTypes.DISCONNECT, identifier=WITH_WILL))
+            self._client.disconnect(ReasonCode(PacketTypes.DISCONNECT, identifier=code))
 
     # --- in the library's thread -----------------------------------------------------------
 

@@ -85,6 +85,14 @@ def primary_host_went(topic: str) -> str:
     return f"`primary_host` went offline by its topic {topic}: the history waits for it"
 
 
+def name_in_use(machine: str, topic: str) -> str:
+    """Return that another store has the name of this machine."""
+    return (
+        f"another store sends as {machine}, which it says at {topic}, so the history of this one waits: `machine` must "
+        "differ from computer to computer"
+    )
+
+
 def nobody_subscribes(topics: list[str]) -> str:
     """Return that rows would reach nobody."""
     return (

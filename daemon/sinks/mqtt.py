@@ -3,6 +3,7 @@
     TOPIC/MACHINE/status            online or offline, retained; offline by the broker when this end is lost
     TOPIC/MACHINE/state             what is now, retained
     TOPIC/MACHINE/history/STREAM    a row of the history, not retained
+    TOPIC/MACHINE/store             which store sends: a second one of the name is refused
 
 The cursor moves when the broker has acknowledged a row and the connection has lasted a while longer.
 """
@@ -22,6 +23,7 @@ from daemon.sinks.broker_refusals import nobody_subscribes
 from daemon.sinks.contract import Progress, SinkWaitsError
 from daemon.sinks.current import Freshness, current_values
 from daemon.sinks.discovery import discovery
+from daemon.sinks.one_name import OneName
 from daemon.sinks.outbox import STREAMS, Batch, Outbox
 from daemon.sinks.row_messages import row_messages
 
@@ -44,7 +46,8 @@ class MqttSink:
         self._config, self._machine = config.mqtt, machine
         self._base = f"{config.mqtt.topic}/{topic_level(machine)}"
         self._where = f"sink {config.name}: broker {config.mqtt.host}:{config.mqtt.server_port}"
-        self._broker = Broker(config.mqtt, self._where, f"toolpoint-{config.name}-{machine}")
+        self._client_id = f"toolpoint-{config.name}-{machine}"
+        self._opened: tuple[Broker, OneName] | None = None
         self._ahead = Ahead(config.mqtt.resend_s)
         self._freshness = Freshness()
         self._told: dict[str, bytes] = {}
@@ -53,16 +56,29 @@ class MqttSink:
 
     def open(self, cursor: Cursor) -> Mapping[str, Position]:
         """Connect; the cursor says how far the broker has come."""
-        self._broker.connect(self._retained("status", b"offline"))
+        broker = Broker(self._config, self._where, f"{self._client_id}{cursor.generation[:8]}")
+        name = OneName(broker, f"{self._base}/store", cursor.generation, self._machine)
+        self._opened = broker, name
+        broker.connect(self._retained("status", b"offline"))
+        name.begin()
         return cursor.positions
 
     def close(self) -> None:
-        """Close the connection; the broker tells that this machine is offline."""
-        self._broker.close()
+        """Close the connection; the broker tells that this machine is offline, unless another one sends for it."""
+        if self._opened is not None:
+            broker, name = self._opened
+            broker.close(will=not name.taken)
+
+    @property
+    def _broker(self) -> Broker:
+        assert self._opened is not None
+        return self._opened[0]
 
     def transfer(self, outbox: Outbox, progress: Progress) -> bool:
         """Tell what is now, then send a batch of each stream; True while one of them had one."""
-        self._broker.check()
+        assert self._opened is not None
+        for each in self._opened:
+            each.check()
         self._ahead.settle(progress)
         self._tell(outbox)
         more = False

@@ -274,7 +274,12 @@ class PlantStore:
     def _works(self) -> None:
         if time.monotonic() - self._told_s >= TELL_PERIOD_S:
             self._told_s = time.monotonic()
-            self._tell(f"stores; {self._stored} messages since the start")
+            came = f"{self._stored} messages since the start"
+            topic = f"{self._config.mqtt.topic}/+/history/+"
+            none = (
+                f"no message has come yet: see that machines publish, and that the broker lets `user_name` read {topic}"
+            )
+            self._tell(f"stores; {came if self._stored else none}")
 
     def _store(self, database: Database, messages: Sequence[paho.MQTTMessage]) -> None:
         """Commit the rows of messages; one that the database does not take is named and left out."""

@@ -251,6 +251,21 @@ def test_a_store_that_cannot_store_says_why_and_its_status_ends_with_1(server: S
         assert 180.0 <= found["late_s"] < 3600.0
 
 
+def test_a_store_that_the_broker_does_not_let_read_says_what_to_look_at(server: Server, tmp_path: Path) -> None:
+    """mosquitto takes its subscription, and the rows for delivered."""
+    (tmp_path / "acl").write_text("topic write toolpoint/#\n")
+    (tmp_path / "acl").chmod(0o600)
+    stop, told = threading.Event(), []
+
+    def tell(status: str) -> None:
+        told.append(status)
+        stop.set()
+
+    with mosquitto(tmp_path, "allow_anonymous true", f"acl_file {tmp_path / 'acl'}") as port:
+        PlantStore(section(server, port, tmp_path), stop, tell).run()
+    assert "no message has come yet" in told[-1] and "read toolpoint/+/history/+" in told[-1]
+
+
 def test_the_command_refuses_a_file_that_names_no_broker(tmp_path: Path) -> None:
     path = tmp_path / "plant.yaml"
     path.write_text("postgresql: {host: db}\n")

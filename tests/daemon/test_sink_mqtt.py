@@ -488,6 +488,85 @@ def test_two_senders_of_one_name_are_told(port: int, tmp_path: Path) -> None:
         second.close()
 
 
+def follow(config: SinkConfig, path: Path, stop: threading.Event) -> tuple[SinkRunner, threading.Thread]:
+    """A sink that goes on until it is told to stop."""
+    runner = SinkRunner(config, path, "twins", stop, wait=lambda _duration_s: stop.wait(0.05))
+    thread = threading.Thread(target=runner.run)
+    thread.start()
+    return runner, thread
+
+
+def test_a_second_computer_of_one_name_is_refused_and_waits_until_the_first_is_gone(port: int, tmp_path: Path) -> None:
+    first, second = tmp_path / "1.sqlite", tmp_path / "2.sqlite"
+    for store, hours in ((first, 0.5), (second, 1.0)):
+        fill(store, hours=hours)
+    ends = threading.Event(), threading.Event()
+    with subscriber(port, "toolpoint/twins/#") as listener:
+        one, working = follow(section(port), first, ends[0])
+        try:
+            wait_until(lambda: not sink_waits(first, one.cursor))
+            before = len(rows(listener.messages, "cnc"))
+            two, waiting = follow(section(port), second, ends[1])
+            try:
+                wait_until(lambda: "another store sends as twins" in two.cursor.problem)
+                assert "`machine` must differ" in two.cursor.problem and two.cursor.sent_rows == 0
+                fill(first, start_s=EPOCH_S + 7200.0, hours=0.5)
+                wait_until(lambda: not sink_waits(first, one.cursor))
+                assert one.cursor.problem == "" and len(rows(listener.messages, "cnc")) == before + 6
+                assert listener.last("toolpoint/twins/status") == "online", "the refused one does not say offline"
+                ends[0].set()
+                working.join()
+                wait_until(lambda: not sink_waits(second, two.cursor))
+                assert two.cursor.problem == ""
+            finally:
+                ends[1].set()
+                waiting.join()
+        finally:
+            ends[0].set()
+            working.join()
+
+
+def test_two_computers_of_one_name_that_come_back_together_do_not_both_send(tmp_path: Path) -> None:
+    stores = tmp_path / "1.sqlite", tmp_path / "2.sqlite"
+    for store in stores:
+        fill(store, hours=0.5)
+    ends, broker = (threading.Event(), threading.Event()), Mosquitto(tmp_path, OPEN)
+    broker.start()
+    followed = [follow(section(broker.port), *each) for each in zip(stores, ends, strict=True)]
+    try:
+        for _ in range(3):
+            wait_until(lambda: sorted("another store" in each.cursor.problem for each, _ in followed) == [False, True])
+            broker.kill()
+            wait_until(
+                lambda: all("lost" in each.cursor.problem or "port" in each.cursor.problem for each, _ in followed)
+            )
+            broker.start()
+    finally:
+        for end, (_, thread) in zip(ends, followed, strict=True):
+            end.set()
+            thread.join()
+        broker.kill()
+
+
+def test_who_may_not_read_sends_all_the_same(tmp_path: Path, port: int) -> None:
+    """Nobody answers it, so a second one is not noticed, which the log says; two sinks of one store are no second."""
+    (tmp_path / "acl").write_text("topic write toolpoint/mill 7/#\ntopic write homeassistant/#\n")
+    (tmp_path / "acl").chmod(0o600)
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.1)
+    known = {"history": []}
+    with mosquitto(tmp_path, OPEN, f"acl_file {tmp_path / 'acl'}") as closed:
+        assert send(section(closed, **known), store).problem == ""
+    ends = threading.Event(), threading.Event()
+    other = section(port, **known).model_copy(update={"name": "other"})
+    followed = [follow(each, store, end) for each, end in zip((section(port, **known), other), ends, strict=True)]
+    wait_until(lambda: all(each.cursor.acknowledged_utc_s for each, _ in followed))
+    for end, (each, thread) in zip(ends, followed, strict=True):
+        end.set()
+        thread.join()
+        assert each.cursor.problem == ""
+
+
 def test_tls_takes_a_broker_that_is_vouched_for_and_no_other(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

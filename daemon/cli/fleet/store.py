@@ -74,5 +74,7 @@ def _say_status(config: "PlantStoreConfig", late_s: float, json_path: str | None
         refuse("no store is connected to the database: see `systemctl status toolpoint-store`", NOT_STORED)
     if not arrives:
         refuse(
-            f"no machine's newest row is younger than {late_s:g} s: see that the sinks of the machines run", NOT_STORED
+            f"no machine's newest row is younger than {late_s:g} s: see that the sinks of the machines run, and that "
+            f"the broker lets this store read {config.mqtt.topic}/+/history/+",
+            NOT_STORED,
         )
