@@ -14,7 +14,7 @@ CREATE = $(PYTHON) -m venv $(VENV)
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 endif
 
-.PHONY: run plant test test-slow test-all hardships install lint types layers docs bundle simulated-model thermal-zoo clean
+.PHONY: run plant test test-slow test-all histories hardships install lint types layers docs bundle simulated-model thermal-zoo clean
 
 run: $(VENV)/.installed
 	$(BIN)/toolpoint demo
@@ -40,6 +40,12 @@ test-slow: $(VENV)/.installed-dev
 
 test-all: $(VENV)/.installed-dev
 	$(PYTEST)
+
+# Random histories of faults and of bad input, of each kind TIMES as many as `make test-all` plays; one takes about 0.4 s.
+TIMES ?= 20
+histories: $(VENV)/.installed-dev
+	$(PYTEST) --dist load -m slow --histories $(TIMES) \
+	  tests/daemon/test_truth_of_combined_faults.py tests/daemon/test_truth_after_bad_input.py
 
 # Kills, power cuts, full disks, clocks that are set, lost wires, on real processes and wires; about an hour and a half.
 hardships: $(VENV)/.installed-dev

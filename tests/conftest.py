@@ -57,6 +57,17 @@ def plain_log() -> None:
 plain_log()
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let random histories be played that CI has no time for: `make histories`."""
+    parser.addoption("--histories", type=int, default=1, help="play so many times as many random histories as CI does")
+
+
+@pytest.fixture(scope="session")
+def times_as_many(pytestconfig: pytest.Config) -> int:
+    """Return how many times as many random histories as in CI are played."""
+    return int(pytestconfig.getoption("--histories"))
+
+
 @pytest.fixture(autouse=True)
 def log_as_it_begins() -> Iterator[None]:
     """Undo what a command that ran in this process has set the log to."""
