@@ -15,7 +15,7 @@ from config.schema import Configuration
 from daemon.cnc.audited_write import AuditedWriter
 from daemon.cnc.events import Journal
 from daemon.cnc.interlocks import Interlocks
-from daemon.cnc.limits import commissioned_factors, echo_slack_um, output_limits, positioning_macros
+from daemon.cnc.limits import also_polled, commissioned_factors, echo_slack_um, output_limits
 from daemon.cnc.macro_block import MacroBlock
 from daemon.cnc.session import CncLink, CncSession
 from daemon.cnc.write_ahead import WriteAheadRecord
@@ -170,7 +170,7 @@ class Daemon:
             factors,
             slack_um,
             configuration.cnc.guard,
-            also_polled=positioning_macros(configuration),
+            also_polled=also_polled(configuration),
             pivots_mm=configuration.compensation.pivots_mm,
         )
         self._store = StateStore(self._history, clock)

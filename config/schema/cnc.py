@@ -274,12 +274,20 @@ class CncConfig(CncDriverConfig):
         """Whether this control's guard applies a slope along an axis."""
         return self.driver in ("opcua", "focas", "linuxcnc")
 
+    @property
+    def watches_offset(self) -> bool:
+        """Whether the external offset is polled, to notice who changes it beside the guard."""
+        asked = self.guard.watch_offset
+        return self.driver in ("focas", "haas") if asked is None else asked
+
     @model_validator(mode="after")
     def _guard_of_the_control(self) -> "CncConfig":
         wanted = "sinumerik" if self.is_sinumerik else "linuxcnc" if self.driver == "linuxcnc" else "fanuc"
         if self.guard.dialect != wanted:
             sentence = f"must be {wanted} for this control (cnc.driver, cnc.opcua.preset): it runs no guard in another"
             raise KeyProblems([(("guard", "dialect"), f"{sentence} language")])
+        if self.guard.watch_offset and (wanted != "fanuc" or self.driver == "mtconnect"):
+            raise KeyProblems([(("guard", "watch_offset"), "this control's offset is no system variable #5201..")])
         return self
 
     @model_validator(mode="after")

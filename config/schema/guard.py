@@ -72,6 +72,12 @@ class GuardConfig(Section):
     read_ahead_stop: Annotated[str, Field(pattern=READ_AHEAD_STOP_PATTERN)] = Field(
         "G53", description="block that ends the reading ahead on this control: G53, or an M code made for it"
     )
+    watch_offset: bool | None = Field(
+        None,
+        description="read the external offset (#5201..) and the unit (#4006) with every poll, and end the reference "
+        "when another than the guard has changed it; by default with the drivers focas and haas. Over OPC UA the "
+        "server must have these system variables and `memory` as it has the macro variables",
+    )
     request_timeout_s: Seconds = Field(10.0, description="how long the request program waits for an answer [s]")
     on_timeout: Literal["continue", "message", "stop"] = Field(
         "message", description="what the request program does without an answer"
@@ -91,6 +97,11 @@ class GuardConfig(Section):
         if problems:
             raise KeyProblems(problems)
         return self
+
+    def number_of(self, axis: str) -> int | None:
+        """Return the control's number of an axis, None where nothing says it."""
+        usual = USUAL_AXES.get(axis.lower(), (None, None))[1]
+        return self.axes[axis].number if axis in self.axes else usual
 
     def memory_of(self, axes: int, slopes: int = 0) -> range:
         """Return the macros of the memory for so many axes, of which so many are slopes."""

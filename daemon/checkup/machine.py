@@ -12,6 +12,7 @@ from config.schema.source_drivers import SourceEntry
 from config.schema.temperatures import LineConfig, TemperatureInput
 from daemon.cnc.commissionable import insecure, unchecked, without_text
 from daemon.cnc.macro_block import MacroBlock
+from daemon.cnc.own_offset import offset_macros
 from daemon.model_release.bearings import open_planning
 from daemon.model_release.file_access import account_of_daemon
 from daemon.model_release.loading import load_released
@@ -151,7 +152,8 @@ async def _displacements(configuration: Configuration, each: registry.Displaceme
 
 async def _cnc(configuration: Configuration, clock: Clock) -> str:
     cnc = registry.open_cnc(configuration, clock)
-    block = MacroBlock(configuration.cnc.macros, tuple(configuration.compensation.axes), {})
+    axes, offset = tuple(configuration.compensation.axes), offset_macros(configuration)
+    block = MacroBlock(configuration.cnc.macros, axes, {}, also_polled=offset)
     try:
         await cnc.connect()
         sample = await cnc.read(block.polled)

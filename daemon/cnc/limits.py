@@ -10,6 +10,7 @@ from config.records.commissioning import CommissioningRecord
 from config.schema import Configuration
 from config.schema.guard import PROGRAM_LABELS
 from daemon.cnc.macro_block import ECHO_SLACK_UM
+from daemon.cnc.own_offset import offset_macros
 from models.control.axis_map import AxisSource, ToolTerm
 from models.control.reference_records import ReferenceRules
 from models.control.state import OutputLimits
@@ -158,7 +159,7 @@ def _counts_with(configuration: Configuration, um_per_unit: Mapping[str, float])
     return marks
 
 
-def positioning_macros(configuration: Configuration) -> tuple[int, ...]:
-    """Return the macro that counts positionings, where there is one; it is polled."""
+def also_polled(configuration: Configuration) -> tuple[int, ...]:
+    """Return what is polled beside the block: the macro that counts positionings, and the external offset."""
     counter = configuration.compensation.reference.positioning_counter
-    return () if counter is None else (counter,)
+    return (*(() if counter is None else (counter,)), *offset_macros(configuration))

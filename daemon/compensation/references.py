@@ -9,10 +9,12 @@ import numpy as np
 from config.schema import Configuration
 from daemon.cnc.events import Journal
 from daemon.cnc.limits import reference_rules
+from daemon.cnc.own_offset import OwnOffsetWatch
 from daemon.compensation.handshake import Handshake
 from daemon.history.writer import HistoryWriter
 from daemon.state_store.store import StateStore
 from drivers.clock import Clock
+from drivers.contract import Cnc
 from models.control import reference, reference_restart
 from models.control.program import phase_of
 from models.control.reference_records import (
@@ -60,6 +62,7 @@ class References:
         self._clock = clock
         self._history = history
         self._store = StateStore(history, clock)
+        self._own_offset = OwnOffsetWatch(configuration, self._store)
         self._tell_thermal = tell_thermal
         self._journal = journal
         self._handshake = handshake
@@ -104,6 +107,12 @@ class References:
     def sample(self) -> CncSample | None:
         """The latest poll, with the part program's block while a program of the guard runs."""
         return self.memory.sample
+
+    async def on_poll(self, cnc: Cnc, polled: CncSample, asked_s: float) -> None:
+        """Take one poll of the CNC, for which it was asked at `asked_s` [s]; a changed offset is read once more."""
+        if moved := await self._own_offset.changed(cnc, polled.macros):
+            self.end(moved)
+        self.on_sample(polled, asked_s)
 
     def on_sample(self, polled: CncSample, asked_s: float) -> None:
         """Take one poll of the CNC, for which it was asked at `asked_s` [s]."""

@@ -26,6 +26,14 @@ class OutputFault:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class OwnOffsets:
+    """The operator's own part of the external offset."""
+
+    mm: Mapping[str, float]
+    """By axis [mm]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class OperationSpeed:
     """Where the spindle speed of one operation stands."""
 

@@ -46,10 +46,12 @@ class SimulatedNc(Protocol):
     macros: Macros
     positions_mm: dict[str, float]
     """Machine positions by the axis' letter [mm]."""
+    external_mm: Sequence[float]
+    """External work offset of axis 1, 2, .. [mm]."""
 
 
-NC_STATE = tuple(name for name in SimulatedNc.__annotations__ if name not in ("macros", "positions_mm"))
-"""What a simulated NC shows besides its macro variables and its axis positions."""
+NC_STATE = tuple(name for name in SimulatedNc.__annotations__ if name not in ("macros", "positions_mm", "external_mm"))
+"""What a simulated NC shows besides its macro variables, its axis positions and its external work offset."""
 
 
 class SimulatedMachine(Protocol):

@@ -20,7 +20,7 @@ from daemon.app import load_record
 from daemon.cnc.audited_write import AuditedWriter
 from daemon.cnc.events import Journal
 from daemon.cnc.interlocks import Interlocks
-from daemon.cnc.limits import commissioned_factors, output_limits, positioning_macros
+from daemon.cnc.limits import also_polled, commissioned_factors, output_limits
 from daemon.cnc.macro_block import MacroBlock
 from daemon.cnc.session import CncLink, CncSession
 from daemon.cnc.write_ahead import WriteAheadRecord
@@ -166,7 +166,7 @@ class Rig:
             axes,
             commissioned_factors(record, axes),
             guard=configuration.cnc.guard,
-            also_polled=positioning_macros(configuration),
+            also_polled=also_polled(configuration),
             pivots_mm=configuration.compensation.pivots_mm,
         )
         self.last_block = WriteAheadRecord.beside(configuration.history.path)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from config.schema import Configuration
 from drivers.clock import Clock
 from drivers.contract import SIMULATED_CNC_IDENTITY, FatalDriverError, LinkError, Security
+from drivers.sim.nc.custom_macro import MacroControl
 from drivers.sim.nc.nc import MacroTable
 from drivers.sim.nc.safe_point import GuardStatus, SafePointApplication
 from models.records import CncMode, CncRun, CncSample
@@ -56,6 +57,11 @@ class MemoryNc:
         self.opened.append(client)
         return client
 
+    def variable(self, number: int) -> float | None:
+        """Return a common variable, or of a control with custom macros a system variable."""
+        system = number >= 1000 and isinstance(self.guard.control, MacroControl)
+        return self.guard.control.get(number) if system else self.macros.get(number)
+
     def safe_point(self) -> GuardStatus:
         """Let the guard run once."""
         return self.guard.run(self.macros, self.clock_s)
@@ -104,7 +110,7 @@ class MemoryCnc:
 
     async def read_macros(self, macros: Sequence[int]) -> dict[int, float | None]:
         self._answer()
-        found = {number: _known(self._nc.macros.get(number)) for number in macros}
+        found = {number: _known(self._nc.variable(number)) for number in macros}
         if self._nc.after_read is not None:
             self._nc.after_read(macros)
         return found

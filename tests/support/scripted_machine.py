@@ -52,6 +52,7 @@ class ScriptedNc:
         self.spindle_speed_rpm, self.motor_temperature_degc = 5000.0, 31.5
         self.power_on_count, self.work_offset, self.tool_number = 7, 54, 3
         self.positions_mm = {"X": 100.0, "Y": 50.0, "Z": 250.0}
+        self.external_mm = [0.0, 0.0, 0.0]
         self.macros = ScriptedMacros()
         self.clock_runs = True
         self._clock_s = 100.0

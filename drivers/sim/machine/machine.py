@@ -75,7 +75,7 @@ class CfrpMachine:
             tool_number=1,
         )
         self.guard = SafePointApplication(macro_map, axes, guard)
-        self._nc.keeps_all = self.guard.keeps_all
+        self._nc.keeps_all, self._nc.external_mm = self.guard.keeps_all, self.guard.control.external_mm
         self._programs = NcPrograms(self.guard, self._nc)
         self._motor_due_s = 0.0
         self._wiring = wiring

@@ -97,7 +97,7 @@ class RecordedMachine:
         self._sequence_number = POSITIONING
         self._nc = NumericalControl(program=PROGRAM, clock_s=5000.0, clock_ppm=0.0, power_on_count=1, tool_number=1)
         self._guard = SafePointApplication(macro_map, axes, guard)
-        self._nc.keeps_all = self._guard.keeps_all
+        self._nc.keeps_all, self._nc.external_mm = self._guard.keeps_all, self._guard.control.external_mm
         self._guard.initialise(self._nc.macros, self._nc.clock_s)
         self._programs = NcPrograms(self._guard, self._nc)
         self._coming = [

@@ -1,6 +1,7 @@
 """The simulated NC: its state in FANUC's codes, its clock and its macro variables."""
 
 import math
+from collections.abc import Sequence
 from enum import IntEnum
 
 from drivers.sim.contract import Macros
@@ -79,6 +80,7 @@ class NumericalControl:
         self.work_offset = 54
         self.tool_number = tool_number
         self.positions_mm = dict.fromkeys("XYZ", 0.0)
+        self.external_mm: Sequence[float] = ()
         self._table = MacroTable()
         self.macros: Macros = self._table
         self.keeps_all = False

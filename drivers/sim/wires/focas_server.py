@@ -31,7 +31,7 @@ from drivers.focas.codec import (
 )
 from drivers.focas.requests import ADDITIONAL_OFFSET, MACROS_PER_BLOCK, WORK_OFFSET
 from drivers.sim.contract import SimulatedNc
-from drivers.sim.wires.system_variables import clock_and_calendar
+from drivers.sim.wires.system_variables import system_variable
 
 SYSTEM = struct.pack(">hh2s2s4s4s2s", 0, 3, b"TP", b"SM", b"TOOL", b"PNT0", b"03")
 MOST_SESSIONS = 5
@@ -101,7 +101,7 @@ class FocasResponder:
 
     def _macro(self, number: int) -> float | None:
         nc = self._nc
-        if (value := clock_and_calendar(nc, number)) is not None:
+        if (value := system_variable(nc, number)) is not None:
             return value
         if number == WORK_OFFSET:
             return float(nc.work_offset)

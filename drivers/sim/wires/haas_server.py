@@ -14,7 +14,7 @@ from drivers.haas.cnc import SIMULATED_SERIAL_NUMBER
 from drivers.haas.codec import DECIMALS, HaasFormatError, LineBuffer, Query, Write, encode_fields, parse_request
 from drivers.haas.requests import MACHINE_POSITION, METRIC, MOST_AXES, OFFSET_P, UNIT_CODE
 from drivers.sim.contract import SimulatedNc
-from drivers.sim.wires.system_variables import clock_and_calendar
+from drivers.sim.wires.system_variables import system_variable
 
 MOST_CONNECTIONS = 2
 MODE_WORDS = {0: "MDI", 1: "MEM", 3: "EDIT", 4: "HANDLE JOG", 5: "JOG"}
@@ -80,7 +80,7 @@ class HaasResponder:
         return lambda: dict(enumerate(self._nc.positions_mm.values(), start=1)).get(place)
 
     def _macro(self, number: int) -> bytes:
-        value = clock_and_calendar(self._nc, number)
+        value = system_variable(self._nc, number)
         if value is None and number in self._state:
             value = self._state[number]()
         elif value is None:

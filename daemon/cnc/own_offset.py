@@ -1,0 +1,82 @@
+"""The operator's own part of the external offset, to which the guard adds.
+
+Whoever else changes the register moves the work's zero while an offset is compensated: a restored back-up of the
+control holds what was compensated when it was made. So a change ends the reference, as another work offset does.
+"""
+
+from collections.abc import Mapping, Sequence
+
+from config.schema import Configuration
+from daemon.state_store.documents import OwnOffsets
+from daemon.state_store.store import StateStore
+from drivers.contract import Cnc
+from models.units import um_from_mm
+
+EXTERNAL_OFFSET = 5200
+"""#5201.. hold the external offset of axis 1.., in the unit of the program."""
+UNIT_CODE, METRIC = 4006, 21
+SLACK = 0.51
+"""Of an increment: less is no change."""
+
+
+def watched_offsets(configuration: Configuration) -> dict[str, int]:
+    """Return the macro of the external offset by axis; of one with a slope the register does not tell its own part."""
+    cnc, slopes = configuration.cnc, configuration.compensation.slopes
+    if not cnc.watches_offset:
+        return {}
+    sloped = {*slopes, *(slope.of for slope in slopes.values())}
+    numbers = {axis: cnc.guard.number_of(axis) for axis in configuration.compensation.axes if axis not in sloped}
+    return {axis: EXTERNAL_OFFSET + number for axis, number in numbers.items() if number is not None}
+
+
+def offset_macros(configuration: Configuration) -> tuple[int, ...]:
+    """Return what is polled for it: unit, the guard's change that is under way, the registers."""
+    registers = watched_offsets(configuration).values()
+    return (UNIT_CODE, configuration.cnc.guard.memory, *registers) if registers else ()
+
+
+class OwnOffsetWatch:
+    """Compares the operator's own part with what it was; what is known outlives sessions and restarts."""
+
+    def __init__(self, configuration: Configuration, store: StateStore) -> None:
+        self._registers = watched_offsets(configuration)
+        self._store = store
+        self._guard, macros = configuration.cnc.guard, configuration.cnc.macros
+        self._echo, self._mm_per_unit = macros.echo_applied, macros.unit_um / 1000.0
+        self._known = dict(kept.mm) if self._registers and (kept := store.get(OwnOffsets)) is not None else {}
+
+    async def changed(self, cnc: Cnc, found: Mapping[int, float | None]) -> str:
+        """Return who was moved by how much since the last poll, '' when nobody; reads once more before it says so."""
+        if not self._changes(self._own_mm(found)):
+            return ""
+        own_mm = self._own_mm(await cnc.read_macros(self._numbers))
+        if not (changes := self._changes(own_mm)):  # the guard had been at it
+            return ""
+        words = [
+            f"axis {axis} by {um_from_mm(own_mm[axis] - self._known[axis]):+.1f} um"
+            for axis in changes
+            if axis in self._known
+        ]
+        self._known |= own_mm
+        self._store.put(OwnOffsets(mm=dict(self._known)))
+        return f"the external offset was changed beside the guard, {', '.join(words)}" if words else ""
+
+    @property
+    def _numbers(self) -> Sequence[int]:
+        return UNIT_CODE, self._guard.memory, *self._registers.values(), *(self._echo[axis] for axis in self._registers)
+
+    def _own_mm(self, found: Mapping[int, float | None]) -> dict[str, float]:
+        """Return register minus what is applied, by axis [mm]; nothing in inches, and while the guard changes it."""
+        if found.get(UNIT_CODE) != METRIC or found.get(self._guard.memory) != 0.0:
+            return {}
+        told = {axis: (found.get(number), found.get(self._echo[axis])) for axis, number in self._registers.items()}
+        return {
+            axis: register - echo * self._mm_per_unit
+            for axis, (register, echo) in told.items()
+            if register is not None and echo is not None
+        }
+
+    def _changes(self, own_mm: Mapping[str, float]) -> list[str]:
+        """Return the axes whose own part is another than is known, or not known yet."""
+        slack_mm = SLACK * self._guard.increment_mm
+        return [axis for axis, mm in own_mm.items() if not abs(mm - self._known.get(axis, float("inf"))) <= slack_mm]

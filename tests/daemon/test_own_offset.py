@@ -1,0 +1,116 @@
+"""The external offset is changed by another than the guard while an offset is compensated."""
+
+from pathlib import Path
+
+import pytest
+from control_rig import Bench, Rig, running
+from pydantic import ValidationError
+
+from config.schema.cnc import CncConfig
+from config.schema.guard import GuardConfig
+
+
+def watching(directory: Path) -> Bench:
+    bench = Bench(directory)
+    guard = GuardConfig(watch_offset=True, increment_mm=0.0001)
+    cnc = bench.configuration.cnc.model_copy(update={"guard": guard})
+    bench.configuration = bench.configuration.model_copy(update={"cnc": cnc})
+    return bench
+
+
+async def followed(rig: Rig, bench: Bench) -> list[float]:
+    """Follow 20 um; return the register as a back-up held it that was made at 10 um."""
+    await rig.active()
+    await rig.follow(-10.0, -10.0, 30)
+    backup = list(bench.nc.guard.control.external_mm)
+    await rig.follow(-20.0, -20.0, 60)
+    assert rig.state == "ACTIVE" and rig.applied == {"x": 0.0, "y": 20.0, "z": 20.0}
+    return backup
+
+
+async def holds(rig: Rig, bench: Bench) -> None:
+    """The output says that it does not know, and stays where it is although the machine goes on warming."""
+    stands = rig.applied
+    await rig.follow(-25.0, -25.0, 10)
+    assert rig.state == "HOLD" and rig.applied == stands
+    assert "the external offset was changed beside the guard, axis y by -10.0 um, axis z" in str(
+        rig.control.reference_ended
+    )
+
+
+@pytest.mark.parametrize("guard_first", [False, True])
+async def test_a_restored_external_offset_holds_the_output(tmp_path: Path, guard_first: bool) -> None:
+    bench = watching(tmp_path)
+    async with running(bench.rig()) as rig:
+        bench.nc.guard.control.external_mm[:] = await followed(rig, bench)
+        if guard_first:
+            bench.nc.safe_point()
+        await holds(rig, bench)
+
+
+async def test_it_is_noticed_when_the_link_or_the_daemon_is_back(tmp_path: Path) -> None:
+    bench = watching(tmp_path)
+    async with running(bench.rig()) as rig:
+        backup = await followed(rig, bench)
+        await rig.history.flushed()
+        rig.alive()
+    bench.nc.guard.control.external_mm[:] = backup
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        assert rig.control.reference is None
+        await holds(rig, bench)
+
+
+async def test_a_program_that_shifts_the_offset_before_it_positions_the_work_is_followed(tmp_path: Path) -> None:
+    bench = watching(tmp_path)
+    async with running(bench.rig()) as rig:
+        await followed(rig, bench)
+        for pallet_um in (250.0, -250.0):
+            bench.nc.guard.change_own_offset("z", pallet_um)
+            bench.nc.sequence_number = 100
+            await rig.turn(safe=False)
+            rig.set_reference(rig.asked[-1].reference_id)
+            await rig.turn()
+            bench.nc.sequence_number = 200
+            await rig.follow(0.0, 0.0, 5)
+            assert rig.state == "ACTIVE" and rig.control.reference is not None
+
+
+async def test_the_guard_s_own_changes_are_none_wherever_it_is_looked_at_and_broken_off(tmp_path: Path) -> None:
+    bench = watching(tmp_path)
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        for blocks in range(3, 300):
+            wished_um = -5.0 - blocks % 5
+            await rig.turn(rig.estimate(wished_um, wished_um), safe=False)
+            interpreter = bench.nc.guard.at(bench.nc.macros, bench.nc.clock_s)
+            interpreter.start(bench.nc.guard.programs.guard)
+            for _ in range(blocks):
+                if interpreter.running:
+                    interpreter.step()
+            over = not interpreter.running
+            await rig.turn(rig.estimate(wished_um, wished_um), safe=False)
+            assert rig.state == "ACTIVE" and rig.control.reference is not None, blocks
+            interpreter.reset()
+            if over:
+                break
+            await rig.turn(rig.estimate(wished_um, wished_um))
+        assert over and max(rig.applied.values()) > 0.0
+
+
+async def test_in_inches_nothing_is_judged(tmp_path: Path) -> None:
+    bench = watching(tmp_path)
+    async with running(bench.rig()) as rig:
+        await followed(rig, bench)
+        bench.nc.guard.control.modal[6] = 20
+        await rig.follow(-20.0, -20.0, 3)
+        bench.nc.guard.control.modal[6] = 21
+        await rig.follow(-20.0, -20.0, 3)
+        assert rig.state == "ACTIVE"
+
+
+def test_a_control_without_the_register_is_refused(tmp_path: Path) -> None:
+    cnc = Bench(tmp_path).configuration.cnc.model_dump(exclude_none=True)
+    guard = {"watch_offset": True, "dialect": "sinumerik"}
+    with pytest.raises(ValidationError, match="no system variable"):
+        CncConfig.model_validate(cnc | {"opcua": cnc["opcua"] | {"preset": "sinumerik"}, "guard": guard})
