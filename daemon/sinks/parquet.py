@@ -44,6 +44,12 @@ LEVEL = 18
 """Of the compression: two seconds of processor time for a day, an eighth less room than 9; 19 takes 40 MiB more."""
 ONE_PAGE = 2**30
 TIME = "time_utc"
+HINTS = {
+    "ACCESS_DENIED": "check the keys in the unit's environment, their rights there, and this computer's clock",
+    "NO_SUCH_BUCKET": "there is no such bucket: check `folder`",
+    "NETWORK_CONNECTION": "check `folder`, the network, and that the server runs",
+}
+"""What an object store says -> what to do."""
 DELTAS = 128
 """So many differences are packed together: times that come again for each sensor begin such a block, to look alike."""
 
@@ -99,7 +105,8 @@ class ParquetSink:
                 return 0
             self._files.put(name, content)
         except OSError as error:
-            raise SinkError(f"{self._where}: {name} cannot be written: {error}") from error
+            hint = next((hint for sign, hint in HINTS.items() if sign in str(error)), "it is tried again")
+            raise SinkError(f"{self._where}: {name} cannot be written: {error}: {hint}") from error
         except (pyarrow.ArrowException, KeyError) as error:
             raise SinkError(
                 f"{self._where}: {name}: what stands there is no such file, or damaged: move it away ({error})"

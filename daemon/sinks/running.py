@@ -170,6 +170,7 @@ class SinkRunner:
     def _failed(self, problem: str) -> None:
         self._note(problem)
         self._wait(self._retry_s * random.uniform(0.8, 1.2))
+        self._note(problem)  # again: this wait and the next try together are longer than a process may be silent
         self._retry_s = min(2.0 * self._retry_s, RETRY_LONGEST_S)
 
     def _note(self, problem: str) -> None:

@@ -52,7 +52,7 @@ class PrimaryHost:
     def __init__(self, name: str) -> None:
         self.topic = f"{NAMESPACE}/STATE/{name}"
         self.online = False
-        self._newest_ms = -1
+        self._newest_ms: float = -1
 
     def forget(self) -> None:
         """Take the next message whatever its time: the clock of a host may have been set back."""
@@ -65,7 +65,7 @@ class PrimaryHost:
             online, newest_ms = said["online"], said["timestamp"]
         except (ValueError, RecursionError, TypeError, KeyError):
             return
-        if isinstance(online, bool) and isinstance(newest_ms, int) and newest_ms >= self._newest_ms:
+        if isinstance(online, bool) and isinstance(newest_ms, int | float) and newest_ms >= self._newest_ms:
             self.online, self._newest_ms = online, newest_ms
 
 

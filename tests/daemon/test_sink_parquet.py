@@ -3,6 +3,7 @@
 import re
 import resource
 import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import history_records as make
@@ -281,6 +282,48 @@ def test_an_object_store_that_is_killed_under_load_has_every_file_once(
     folder = tmp_path / "files"
     expected = {f"history/{name}": (folder / name).read_bytes() for name in files(folder)}
     assert found == expected and len(found) == 7
+
+
+@pytest.mark.parametrize(
+    ("code", "said"), [(403, "this computer's clock"), (404, "check `folder`"), (503, "it is tried again")]
+)
+def test_an_object_store_that_refuses_is_named_without_its_keys(tmp_path: Path, code: int, said: str) -> None:
+    errors = {403: "RequestTimeTooSkewed", 404: "NoSuchBucket", 503: "SlowDown"}
+
+    class Refusing(BaseHTTPRequestHandler):
+        def do_PUT(self) -> None:
+            body = f"<Error><Code>{errors[code]}</Code><Message>no</Message></Error>".encode() * (
+                self.command != "HEAD"
+            )
+            self.rfile.read(int(self.headers.get("Content-Length") or 0))
+            self.send_response(code)
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        do_GET = do_HEAD = do_POST = do_PUT
+
+        def log_message(self, *_words: object) -> None:
+            pass
+
+    store, stop = tmp_path / "h.sqlite", threading.Event()
+    fill(store, MIDNIGHT_S, 0.5)
+    with ThreadingHTTPServer(("127.0.0.1", 0), Refusing) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        there = f"region=eu-central-1&scheme=http&endpoint_override=127.0.0.1:{server.server_port}"
+        known = {"folder": f"s3://KEY:SECRET@plant/history?{there}"}
+        section = SinkConfig.model_validate({"name": "files", "driver": "parquet", "parquet": known})
+
+        def sink(section: SinkConfig, machine: str) -> ParquetSink:
+            return ParquetSink(section, machine, now_utc_s=lambda: MIDNIGHT_S + 2 * DAY_S)
+
+        runner = SinkRunner(section, store, MACHINE, stop, sink, wait=lambda _duration_s: stop.set())
+        runner.run()
+        server.shutdown()
+    problem = runner.cursor.problem
+    assert "sink files: s3://...@plant/history" in problem and "temperatures/machine=mill%2F7 north" in problem
+    assert said in problem and "SECRET" not in problem and "SECRET" not in section.place
+    assert runner.cursor.sent_rows == 0
 
 
 def test_the_examples_of_the_page_run_on_the_files(tmp_path: Path) -> None:

@@ -586,6 +586,33 @@ def test_a_database_that_cannot_hold_every_text_is_refused_before_it_holds_anyth
         assert connection.execute("SELECT to_regnamespace('toolpoint')").fetchone() == (None,)
 
 
+@pytest.mark.parametrize(
+    ("change", "back", "said"),
+    [
+        ("ROLE guest NOLOGIN", "ROLE guest LOGIN", "let `user_name` log in"),
+        ("ROLE guest CONNECTION LIMIT 0", "ROLE guest CONNECTION LIMIT -1", "raise that limit"),
+        ("DATABASE toolpoint CONNECTION LIMIT 0", "DATABASE toolpoint CONNECTION LIMIT -1", "raise that limit"),
+    ],
+)
+def test_a_role_that_is_kept_out_is_not_taken_for_one_that_is_unknown(
+    server: Server, tmp_path: Path, change: str, back: str, said: str
+) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.1)
+    with server.connection() as connection:
+        with contextlib.suppress(psycopg.errors.DuplicateObject):
+            connection.execute("CREATE ROLE guest LOGIN PASSWORD 'lathe 7'")
+        connection.execute(f"ALTER {change}")
+        try:
+            assert said in send(server, tmp_path, store, user_name="guest").problem
+            connection.execute("REVOKE CONNECT ON DATABASE toolpoint FROM PUBLIC")
+            connection.execute(f"ALTER {back}")
+            assert "let `user_name` connect" in send(server, tmp_path, store, user_name="guest").problem
+        finally:
+            connection.execute("GRANT CONNECT ON DATABASE toolpoint TO PUBLIC")
+            connection.execute(f"ALTER {back}")
+
+
 def test_the_section_says_which_library_is_loaded() -> None:
     config = SinkConfig.model_validate({"name": "p", "driver": "postgresql", "postgresql": {"host": "db"}})
     assert isinstance(make_sink(config, MACHINE), PostgresqlSink)

@@ -197,6 +197,7 @@ def test_an_older_word_of_the_primary_host_counts_for_nothing() -> None:
         (b"\xff\xff", True),
         (b'{"online": false, "timestamp": 5}', False),
         (b'{"online": true}', False),
+        (b'{"online": true, "timestamp": 6.5}', True),
     ):
         host.hear(content)
         assert host.online is online, content

@@ -25,7 +25,7 @@ from daemon.cli import main
 from daemon.history import HistoryReader, HistoryWriter, housekeeping
 from daemon.history.cursors import Cursor, cursor_path
 from daemon.history.database import HistoryError, connect_reader
-from daemon.sinks.contract import Progress
+from daemon.sinks.contract import Progress, SinkError
 from daemon.sinks.outbox import STREAMS, Outbox
 from daemon.sinks.running import SinkRunner, run_sinks, sink_status
 from daemon.sinks.watching import watch
@@ -64,6 +64,27 @@ def take(store: Path, taker: Taker) -> Cursor:
     runner = SinkRunner(SINK, store, "mill", stop, lambda _config, _machine: taker, lambda _duration_s: stop.set())
     runner.run()
     return runner.cursor
+
+
+def test_a_process_that_waits_says_that_it_runs_before_it_tries_again(tmp_path: Path) -> None:
+    """A minute's wait and a try that hangs for another are together longer than one that runs may be silent."""
+    store, stop, said_s = tmp_path / "h.sqlite", threading.Event(), []
+    writer_of(store, 0.0).close()
+    waited_s = [0.0]
+
+    def away(_config: SinkConfig, _machine: str) -> Taker:
+        cursor = Cursor.read(cursor_path(store, SINK.name))
+        said_s.append((cursor.alive_utc_s if cursor is not None else 0.0) - waited_s[0])
+        raise SinkError("away")
+
+    def wait(_duration_s: float) -> None:
+        time.sleep(0.01)
+        waited_s[0] = time.time()
+        if len(said_s) == 2:
+            stop.set()
+
+    SinkRunner(SINK, store, "mill", stop, away, wait).run()
+    assert said_s[1] >= 0.0
 
 
 def writer_of(store: Path, utc_s: float, **changes: object) -> HistoryWriter:
