@@ -37,6 +37,8 @@ HELD_MOMENTS = 3
 """A hold may take so many moments until the guard has what was written last."""
 PRELUDE = 96
 """Moments until the output follows."""
+OFF_MOMENTS = 6
+"""After so many moments of an output that is off for good a history is over: nothing moves, and nothing is judged."""
 
 
 class SteppedClock(HandClock):
@@ -127,6 +129,8 @@ class Attack(TwinLoop):
         self.righted = False
         self.worst_um = 0.0
         self.followed = 0
+        self.off = 0
+        """For so many moments everything has been right and the output off."""
 
     # --- what is heard ----------------------------------------------------------------------
 
@@ -182,6 +186,8 @@ class Attack(TwinLoop):
                 if self.moment == PRELUDE + length + CALM and self.rng.random() < 0.5:
                     await self.use(str(self.rng.choice(list(MODELS))))
                 await self.one_moment()
+                if self.off > OFF_MOMENTS:
+                    break
         finally:
             if not self.down_left:
                 await self.loop.end()
@@ -203,6 +209,12 @@ class Attack(TwinLoop):
         if not self.down_left:
             self.follow_daemon()
             self.judge()
+        self.off = self.off + 1 if self.is_off() else 0
+
+    def is_off(self) -> bool:
+        """Return whether the output is off after everything was set right, and nobody is going to switch it on."""
+        memory = None if self.down_left else self.loop.rig.control.memory
+        return self.righted and memory is not None and memory.state in (OutputState.OFF, OutputState.FAULT)
 
     def program(self) -> None:
         """Take the program a step on: what was applied when its positioning ended is what the work stands with."""
