@@ -155,11 +155,10 @@ class Configuration(Section):
                 f"must be longer than cnc.poll_period_s ({period_s:g} s), or a positioning passes between two polls",
             )
         macros = self.cnc.macros
-        if reference.positioning_counter in {*macros.block, *macros.allowed}:
-            yield (
-                ("compensation", "reference", "positioning_counter"),
-                f"#{reference.positioning_counter} is one of the daemon's own macros; only the NC program may write it",
-            )
+        for key in ("positioning_counter", "tool_counter"):
+            if (number := getattr(reference, key)) in {*macros.block, *macros.allowed}:
+                sentence = f"#{number} is one of the daemon's own macros; only the NC program may write it"
+                yield (("compensation", "reference", key), sentence)
 
     def _numbers_of_the_guard(self) -> Iterator[tuple[KeyPath, str]]:
         """Yield which N numbers with a meaning also occur in the NC programs that `toolpoint guard` prints."""

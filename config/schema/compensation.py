@@ -135,6 +135,12 @@ class ReferenceConfig(Section):
         "seen; none: there is no such macro",
         examples=[560],
     )
+    tool_counter: MacroNumber | None = Field(
+        None,
+        description="macro that the NC raises with every tool change: raised, the tool in the spindle is one that has "
+        "just come, also where the number that a poll shows is the same; none: there is no such macro",
+        examples=[561],
+    )
     max_gap_s: Seconds | None = Field(
         None,
         description="no longer used, and refused from the next version on: `positioning_dwell_s` says what counts",

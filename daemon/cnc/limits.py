@@ -160,6 +160,7 @@ def _counts_with(configuration: Configuration, um_per_unit: Mapping[str, float])
 
 
 def also_polled(configuration: Configuration) -> tuple[int, ...]:
-    """Return what is polled beside the block: the macro that counts positionings, and the external offset."""
-    counter = configuration.compensation.reference.positioning_counter
-    return (*(() if counter is None else (counter,)), *offset_macros(configuration))
+    """Return what is polled beside the block: the macros that count positionings and tools, and the external offset."""
+    reference = configuration.compensation.reference
+    counters = (reference.positioning_counter, reference.tool_counter)
+    return (*(number for number in counters if number is not None), *offset_macros(configuration))

@@ -59,7 +59,7 @@ class MeasuredByNc:
         now_s = sample.time.monotonic_s
         gap_s = self._references.away_s(sample) if self._polled_s is None else now_s - self._polled_s
         self._polled_s = now_s
-        self.tool.on_sample(sample.tool_number, estimate, gap_s)
+        self.tool.on_sample(sample.tool_number, estimate, gap_s, self._references.tool_count)
         self._skill.stand(sample)
 
     def set_tool(self, axis: str) -> str:

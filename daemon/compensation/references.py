@@ -62,6 +62,7 @@ class References:
         self._clock = clock
         self._history = history
         self._store = StateStore(history, clock)
+        self._tool_counter = configuration.compensation.reference.tool_counter
         self._own_offset = OwnOffsetWatch(configuration, self._store)
         self._tell_thermal = tell_thermal
         self._journal = journal
@@ -97,6 +98,12 @@ class References:
         """It matters which tool is in the spindle: one was set, or its own expansion counts."""
         baseline = None if self.memory.record is None else self.memory.record.baseline
         return bool(self._expanding) or (baseline is not None and bool(baseline.tools))
+
+    @property
+    def tool_count(self) -> float | None:
+        """How many tools have come into the spindle, by the NC's count; None where it does not say."""
+        counter = self._tool_counter
+        return None if counter is None or self.sample is None else self.sample.macros.get(counter)
 
     @property
     def zero_first(self) -> bool:

@@ -25,12 +25,15 @@ class ToolInSpindle:
         self._shown_s: dict[str, float] = {}
         """When that increment was an estimate's [s]."""
         self._gap_s = 0.0
+        self._count: float | None = None
         self.number = 0
 
-    def on_sample(self, shown: int, estimate: ThermalErrorEstimate | None, gap_s: float = 0.0) -> None:
+    def on_sample(
+        self, shown: int, estimate: ThermalErrorEstimate | None, gap_s: float = 0.0, count: float | None = None
+    ) -> None:
         """Take the tool number of a poll: another one is a tool change, unless the program names its tools itself.
 
-        `gap_s`: since the poll before, over a restart too [s].
+        `gap_s`: since the poll before, over a restart too [s]. `count`: how many have come, where the NC counts them.
         """
         self._follow(estimate)
         self._gap_s = max(self._gap_s, gap_s)
@@ -39,13 +42,15 @@ class ToolInSpindle:
         if self._references.left is not None:  # nothing counts from what the previous run left yet
             return
         gap_s, self._gap_s = self._gap_s, 0.0
+        came = None not in (count, self._count) and count != self._count
+        self._count = self._count if count is None else count
         program_ended = self._named is not None and self._named[0] != self._program
         if self._named is not None and shown == self.number:
             self._named, self._shown = (self._named[0], shown), ()
         elif self._named is not None and shown not in self._shown:
             self._shown = (*self._shown, shown)
-        if shown != self._polled or program_ended:
-            changed = shown != (self._named[1] if self._named is not None else self._polled)
+        if shown != self._polled or program_ended or came:
+            changed = came or shown != (self._named[1] if self._named is not None else self._polled)
             self._polled = shown
             self._named = None if program_ended else self._named
             if self._named is None and changed:
@@ -60,13 +65,20 @@ class ToolInSpindle:
             self._polled = self.number = shown
             return
         self._polled, self.number, self._shown = kept.shown, kept.number, kept.shown_since
+        self._count = kept.count
         self._named = None if kept.named_by is None else (kept.named_by, kept.shown_when_named)
 
     def _keep(self) -> None:
         by, then = (None, None) if self._named is None else self._named
         now = self.number if self._polled is None else self._polled
-        seen = ToolSeen(number=self.number, shown=now, named_by=by, shown_when_named=then, shown_since=self._shown)
-        self._references.tool_seen = seen
+        self._references.tool_seen = ToolSeen(
+            number=self.number,
+            shown=now,
+            named_by=by,
+            shown_when_named=then,
+            shown_since=self._shown,
+            count=self._count,
+        )
 
     def name(self, number: int, estimate: ThermalErrorEstimate | None) -> None:
         """Take the NC program's word for the tool in the spindle: it counts until another program runs."""

@@ -107,6 +107,8 @@ class ToolSeen:
     shown_when_named: int | None = None
     shown_since: tuple[int, ...] = ()
     """Other tools that the control has shown since then."""
+    count: float | None = None
+    """How many had come, by the NC's own count."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

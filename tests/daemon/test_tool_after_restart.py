@@ -54,6 +54,50 @@ async def test_a_tool_that_came_while_the_daemon_was_away_has_not_expanded_since
         assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(4.0, abs=0.11)
 
 
+def counting_bench(tmp_path) -> Bench:
+    """Its NC counts the tools that come into the spindle in #561."""
+    bench = expanding_bench(tmp_path)
+    compensation = bench.configuration.compensation
+    reference = compensation.reference.model_copy(update={"tool_counter": 561})
+    compensation = compensation.model_copy(update={"reference": reference})
+    bench.configuration = bench.configuration.model_copy(update={"compensation": compensation})
+    bench.nc.macros.set(561, 40.0)
+    return bench
+
+
+@pytest.mark.parametrize("away", [False, True])
+@pytest.mark.parametrize("came", [0, 1, 2])
+async def test_a_tool_that_goes_and_comes_back_between_two_polls_is_known_by_the_count_of_the_nc(tmp_path, came, away):
+    bench = counting_bench(tmp_path)
+    async with running(bench.rig()) as rig:
+        await warmed(rig)
+        if not away:
+            bench.nc.macros.set(561, 40.0 + came)
+            await let_pass(rig, 60.0, 5.0)
+            assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(4.0 if came else 14.0, abs=0.11)
+            return
+    bench.clock.monotonic_s += 40.0
+    bench.nc.macros.set(561, 40.0 + came)
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        await let_pass(rig, 60.0, 5.0)
+        assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(4.0 if came else 14.0, abs=0.11)
+
+
+async def test_a_count_that_is_vacant_for_a_while_tells_nothing(tmp_path):
+    bench = counting_bench(tmp_path)
+    async with running(bench.rig()) as rig:
+        await warmed(rig)
+        for vacant in (None, 40.0):
+            bench.nc.macros.set(561, vacant)
+            await let_pass(rig, 30.0, 5.0)
+            assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(14.0, abs=0.11)
+        bench.nc.tool_number = 7
+        bench.nc.macros.set(561, 41.0)
+        await let_pass(rig, 60.0, 5.0)
+        assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(4.0, abs=0.11)
+
+
 @pytest.mark.parametrize("held_s", [0.0, 30.0, 55.0])
 async def test_a_tool_that_came_while_the_daemon_was_away_counts_right_though_a_sensor_missed_the_first_cycles(
     tmp_path, held_s
