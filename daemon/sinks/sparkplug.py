@@ -41,6 +41,8 @@ NUMBERS = 256
 """Messages of a session are numbered 0 to 255 over and over, and so are sessions."""
 TOLD_AT_BIRTH = 20
 """So many of the newest rows of each stream make the values of a birth: every line is among them."""
+REBIRTH_PERIOD_S = 1.0
+"""Commands that come sooner after a birth are answered together, by one: hosts that start at once all ask."""
 MOST_UNHEARD = 20
 """So many messages of a topic that have not come back are kept."""
 _sessions: defaultdict[str, Iterator[int]] = defaultdict(itertools.count)
@@ -86,6 +88,9 @@ class SparkplugSink:
         self._seq = itertools.count()
         self._born = self._alive = False
         """Whether the node and its device were born."""
+        self._born_s = float("-inf")
+        self._asked = False
+        """Whether a host has asked for a birth since the last one."""
         births = self._topic.format("NBIRTH"), self._of_device("DBIRTH")
         self._unheard: dict[str, tuple[int, ...]] = dict.fromkeys((*births, self._of_device("DDATA")), ())
         """Topic -> hashes of what has not come back from the broker, the newest last; of data that of the first row."""
@@ -123,6 +128,8 @@ class SparkplugSink:
             self._learn(outbox)
             self._bear()
             self._wait_for_own()
+        elif self._asked:
+            self._bear()
         more = False
         for stream in STREAMS.values():
             batch = outbox.batch(stream, self._ahead.position(progress, stream.name))
@@ -156,6 +163,7 @@ class SparkplugSink:
         """Publish the births of the node and of its device; a host may ask for them again at any time."""
         with self._lock:
             self._seq = itertools.count()
+            self._born_s, self._asked = time.monotonic(), False
             now_ms = _now_ms()
             made = [
                 Metric(name="bdSeq", datatype=DataType.INT64, value=self._bd_seq, utc_ms=now_ms),
@@ -241,7 +249,8 @@ class SparkplugSink:
     def _hear(self, topic: str, content: bytes, retained: bool) -> None:
         if topic == self._commands and not retained and asks_for_rebirth(content, REBIRTH):
             with self._lock:
-                if self._born:
+                self._asked = self._born
+                if self._born and time.monotonic() - self._born_s >= REBIRTH_PERIOD_S:
                     log.info("sparkplug.rebirth", topic=topic)
                     self._bear()
         elif topic in self._unheard:

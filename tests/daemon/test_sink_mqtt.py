@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import yaml
 from certificates import make_certificate
-from filled_store import add, fill
+from filled_store import add, fill, rows_waiting
 from history_records import EPOCH_S, SMALL, StillClock
 from mosquitto import PATIENCE_S, Mosquitto, mosquitto, subscriber, wait_until
 from strict_broker import strict_broker
@@ -24,7 +24,7 @@ from config.sample import sample_configuration
 from config.schema.service import HistoryConfig
 from config.schema.sinks import SinkConfig
 from daemon.history import HistoryWriter, housekeeping
-from daemon.history.cursors import Cursor, Position, cursor_path
+from daemon.history.cursors import Cursor, cursor_path
 from daemon.sinks.ahead import Ahead
 from daemon.sinks.contract import Progress, SinkError
 from daemon.sinks.current import SILENT_AFTER_S, Freshness, current_values
@@ -61,16 +61,6 @@ def send(config: SinkConfig, path: Path, machine: str = MACHINE) -> Cursor:
     runner = runner_for(config, path, machine)
     runner.run()
     return runner.cursor
-
-
-def sink_waits(store: Path, cursor: Cursor) -> int:
-    """Rows that the sink has not taken yet, but for writes that wait for their echo."""
-    with Outbox(store) as outbox:
-        return sum(
-            outbox.waiting(stream, cursor.positions.get(name, Position()))[0]
-            for name, stream in STREAMS.items()
-            if name != "writes"
-        )
 
 
 def rows(messages: list[tuple[bool, str, str]], stream: str) -> list[dict[str, object]]:
@@ -432,7 +422,7 @@ def test_a_broker_that_ends_connections_in_the_middle_has_every_row(tmp_path: Pa
         thread = threading.Thread(target=runner.run)
         thread.start()
         try:
-            wait_until(lambda: not broker.cut_after and not sink_waits(store, runner.cursor))
+            wait_until(lambda: not broker.cut_after and not rows_waiting(store, runner.cursor))
         finally:
             stop.set()
             thread.join()
@@ -504,19 +494,19 @@ def test_a_second_computer_of_one_name_is_refused_and_waits_until_the_first_is_g
     with subscriber(port, "toolpoint/twins/#") as listener:
         one, working = follow(section(port), first, ends[0])
         try:
-            wait_until(lambda: not sink_waits(first, one.cursor))
+            wait_until(lambda: not rows_waiting(first, one.cursor))
             before = len(rows(listener.messages, "cnc"))
             two, waiting = follow(section(port), second, ends[1])
             try:
                 wait_until(lambda: "another store sends as twins" in two.cursor.problem)
                 assert "`machine` must differ" in two.cursor.problem and two.cursor.sent_rows == 0
                 fill(first, start_s=EPOCH_S + 7200.0, hours=0.5)
-                wait_until(lambda: not sink_waits(first, one.cursor))
+                wait_until(lambda: not rows_waiting(first, one.cursor))
                 assert one.cursor.problem == "" and len(rows(listener.messages, "cnc")) == before + 6
                 assert listener.last("toolpoint/twins/status") == "online", "the refused one does not say offline"
                 ends[0].set()
                 working.join()
-                wait_until(lambda: not sink_waits(second, two.cursor))
+                wait_until(lambda: not rows_waiting(second, two.cursor))
                 assert two.cursor.problem == ""
             finally:
                 ends[1].set()

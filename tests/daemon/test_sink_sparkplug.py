@@ -1,15 +1,19 @@
 """Sparkplug B: payloads by the numbers of the specification, rows as metrics, and what a host may say."""
 
+import itertools
 import struct
 import subprocess
 import threading
 from pathlib import Path
 
+import paho.mqtt.client as paho
 import pytest
-from filled_store import fill
+from filled_store import fill, rows_waiting
+from history_records import EPOCH_S
 from hypothesis import given
 from hypothesis import strategies as st
 from mosquitto import mosquitto, wait_until
+from paho.mqtt.enums import CallbackAPIVersion
 
 from config.schema.base import KeyProblems
 from config.schema.sinks import SinkConfig
@@ -287,3 +291,39 @@ def test_a_primary_host_whose_clock_was_set_back_is_waited_for_no_longer_than_it
             stop.set()
             thread.join()
     assert runner.cursor.problem == ""
+
+
+def test_a_storm_of_commands_to_be_born_again_is_answered_and_keeps_no_row_back(tmp_path: Path) -> None:
+    store, stop, kinds, numbers = tmp_path / "h.sqlite", threading.Event(), [], []
+    fill(store, hours=0.5)
+
+    def hear(_client: object, _data: object, message: paho.MQTTMessage) -> None:
+        kinds.append(message.topic.split("/")[2])
+        if kinds[-1] in ("NBIRTH", "DBIRTH", "DDATA"):
+            numbers.append((kinds[-1], PAYLOAD.FromString(message.payload).seq))
+
+    host = paho.Client(CallbackAPIVersion.VERSION2, "host", protocol=paho.MQTTv5)
+    host.on_message = hear
+    with mosquitto(tmp_path, "allow_anonymous true") as port:
+        host.connect("127.0.0.1", port)
+        host.subscribe("spBv1.0/Plant/#")
+        host.loop_start()
+        runner = SinkRunner(section(port), store, "mill", stop, wait=lambda _duration_s: stop.wait(0.05))
+        thread = threading.Thread(target=runner.run)
+        thread.start()
+        try:
+            wait_until(lambda: kinds.count("DBIRTH") == 1)
+            asked = [Metric(name=REBIRTH, datatype=DataType.BOOLEAN, value=True, utc_ms=1)]
+            for _ in range(1000):
+                host.publish("spBv1.0/Plant/NCMD/mill", encode(asked, utc_ms=1, seq=0))
+            wait_until(lambda: kinds.count("NCMD") == 1000)
+            wait_until(lambda: "DBIRTH" in kinds[len(kinds) - kinds[::-1].index("NCMD") :])
+            fill(store, start_s=EPOCH_S + 1800.0, hours=0.5)
+            wait_until(lambda: not rows_waiting(store, runner.cursor))
+        finally:
+            stop.set()
+            thread.join()
+            host.loop_stop()
+    assert runner.cursor.problem == "" and 2 <= kinds.count("NBIRTH") < 20
+    for (_, before), (kind, number) in itertools.pairwise(numbers):
+        assert number == (0 if kind == "NBIRTH" else (before + 1) % 256)

@@ -8,6 +8,8 @@ import numpy as np
 from history_records import EPOCH_S, SMALL, StillClock
 
 from daemon.history import HistoryWriter
+from daemon.history.cursors import Cursor, Position
+from daemon.sinks.outbox import STREAMS, Outbox
 
 
 def fill(path: Path, *, start_s: float = EPOCH_S, hours: float = 3.0) -> None:
@@ -36,3 +38,13 @@ def add(writer: HistoryWriter, start_s: float, hours: float) -> None:
         writer.event("note", f"number {k}\nsecond line \u00b5", "Ada")
         if k % 10 == 0:
             writer.reference(replace(make.reference(first_s, len(SMALL.sensor_ids)), reference_id=f"r{k}"))
+
+
+def rows_waiting(path: Path, cursor: Cursor) -> int:
+    """Return how many rows a sink has not taken yet, but for writes, of which the last wait for their echo."""
+    with Outbox(path) as outbox:
+        return sum(
+            outbox.waiting(stream, cursor.positions.get(name, Position()))[0]
+            for name, stream in STREAMS.items()
+            if name != "writes"
+        )
