@@ -54,9 +54,7 @@ def follow_reference(memory: OutputMemory, inputs: OutputInputs, stale_after_s: 
         return _new_reference(memory, inputs, stale_after_s)
     if memory.reference_id is None:
         return _without_reference(memory, inputs)
-    if memory.settling:
-        return _settle(memory, inputs)
-    return _follow_model(memory, inputs)
+    return _follow_model(_settle(memory, inputs) if memory.settling else memory, inputs)
 
 
 def follow_tool(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:

@@ -70,6 +70,16 @@ def test_a_guard_that_goes_elsewhere_than_the_block_said_moves_no_baseline():
     assert machine.applied == pytest.approx(before, abs=0.02)
 
 
+def test_a_model_that_is_released_while_a_tool_setting_settles_moves_nothing():
+    machine = Machine().following()
+    machine.step(tool_setting=(False, True), guard=False)
+    assert machine.memory.settling
+    machine.set(model_id="m2", thermal_error_um=np.array([-5.0, -14.0])).step(60)
+    assert machine.applied == pytest.approx([3.0, 20.0], abs=0.02)
+    machine.set(thermal_error_um=np.array([-6.0, -15.0])).step(60)
+    assert machine.applied == pytest.approx([4.0, 21.0], abs=0.02)
+
+
 def test_a_tool_set_on_one_axis_leaves_alone_what_another_counts_from():
     machine = Machine().following()
     machine.set(thermal_error_um=np.array([-4.53, -20.0])).step(60)
