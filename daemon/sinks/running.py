@@ -1,6 +1,8 @@
 """Runs the sinks, each in a thread of its own: what one of them waits for keeps no other back."""
 
+import contextlib
 import fcntl
+import os
 import random
 import sqlite3
 import threading
@@ -18,7 +20,7 @@ from daemon.history.cursors import Cursor, Position, cursor_path
 from daemon.history.database import HistoryError
 from daemon.sinks.contract import Progress, Sink, SinkError, SinkWaitsError
 from daemon.sinks.outbox import STREAMS, Outbox
-from daemon.sinks.watching import SILENT_AFTER_S
+from daemon.sinks.watching import lately, lock_path, runs, silence
 
 if TYPE_CHECKING:
     from daemon.sinks.alarms.message import Messenger
@@ -27,7 +29,7 @@ log = structlog.get_logger(__name__)
 RETRY_FIRST_S = 1.0
 RETRY_LONGEST_S = 60.0
 ALIVE_PERIOD_S = 30.0
-"""How often a sink with nothing to send says that it runs."""
+"""How often a sink with nothing to send says that it runs, and the process of all of them too."""
 STOP_WITHIN_S = 10.0
 OpenSink = Callable[[SinkConfig, str], Sink]
 
@@ -191,7 +193,7 @@ def run_sinks(configuration: Configuration, stop: threading.Event) -> None:
     folder = cursor_path(store, "").parent
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = (folder / "lock").open("w")
+        lock = lock_path(store).open("w")
     except OSError as error:
         raise HistoryError(f"{folder}: cannot be written ({error.strerror}); run this as the daemon's user") from error
     with lock:
@@ -208,7 +210,9 @@ def run_sinks(configuration: Configuration, stop: threading.Event) -> None:
         threads = [threading.Thread(target=each.run, name="sink", daemon=True) for each in runners]
         for thread in threads:
             thread.start()
-        stop.wait()
+        while not stop.wait(ALIVE_PERIOD_S):
+            with contextlib.suppress(OSError):
+                os.utime(lock.fileno())
         for thread in threads:
             thread.join(STOP_WITHIN_S)
 
@@ -226,14 +230,16 @@ def _status(configuration: Configuration, config: SinkConfig, now_utc_s: float) 
         positions = cursor.positions if same else {}
         streams = STREAMS if config.alarms is None else {}
         found = {name: outbox.waiting(each, positions.get(name, Position())) for name, each in streams.items()}
+    store, spoke = configuration.history.path, lately(cursor.alive_utc_s, now_utc_s)
+    running = spoke or runs(store, now_utc_s)
     oldest = [time_s for _, time_s in found.values() if time_s is not None]
     return {
         "name": config.name,
         "driver": config.driver,
         "place": config.place,
         "exposed": config.exposed,
-        "running": 0.0 <= now_utc_s - cursor.alive_utc_s < SILENT_AFTER_S,
-        "problem": cursor.problem,
+        "running": running,
+        "problem": cursor.problem or (silence(config.name, store, now_utc_s) if running and not spoke else ""),
         "acknowledged_utc_s": cursor.acknowledged_utc_s,
         "rows": {
             "sent": cursor.sent_rows,

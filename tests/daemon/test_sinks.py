@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import socket
 import sqlite3
 import subprocess
 import sys
@@ -258,6 +259,33 @@ async def test_the_daemon_shows_a_sink_as_a_link(tmp_path: Path) -> None:
     Cursor(alive_utc_s=time.time(), problem="the disk of the database is full").write(path)
     with pytest.raises(LinkError, match="the disk of the database is full"):
         await looking
+
+
+async def test_a_sink_whose_server_answers_slowly_is_not_taken_for_a_process_that_does_not_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("daemon.sinks.running.ALIVE_PERIOD_S", 0.1)
+    monkeypatch.setattr("daemon.sinks.watching.SILENT_AFTER_S", 1.0)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        mqtt = {"host": "127.0.0.1", "port": server.getsockname()[1], "tls": False, "timeout_s": 4.0}
+        sink = SinkConfig.model_validate({"name": "plant", "driver": "mqtt", "mqtt": mqtt})
+        configuration = machine_with(tmp_path / "h.sqlite").model_copy(update={"sinks": [sink]})
+        writer_of(configuration.history.path, 0.0).close()
+        stop = threading.Event()
+        process = threading.Thread(target=run_sinks, args=(configuration, stop))
+        process.start()
+        try:
+            await asyncio.sleep(2.0)
+            with pytest.raises(LinkError, match="sink plant: its process runs and has been at one piece"):
+                await watch(sink, configuration.history.path, lambda: None, 0.0)
+            (status,) = sink_status(configuration, time.time())
+            assert status["running"] and "at one piece for more than" in status["problem"]
+        finally:
+            stop.set()
+            process.join()
+    await asyncio.sleep(1.2)
+    with pytest.raises(LinkError, match="its process does not run"):
+        await watch(sink, configuration.history.path, lambda: None, 0.0)
 
 
 def test_a_second_process_is_refused(tmp_path: Path) -> None:
