@@ -5,6 +5,7 @@ Three signs, each with limits from training (`models.thermal.sensor_watch`): a s
 other sensors say (step, drift, scale).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -30,6 +31,14 @@ COARSE_K = 0.05
 """The mean over a minute of a sensor that counts in steps of so much is often twice the same [K]."""
 USUAL_STEPS_K = np.array([1.0, 0.5, 0.25, 0.1, 0.0625, COARSE_K])
 """Steps in which sensors and what reads them count [K], from the largest."""
+SIZES_K = np.stack([USUAL_STEPS_K, USUAL_STEPS_K / 1.8])[..., None]
+"""The same in degC and in degF [K], shape (2, 6, 1)."""
+WIDE_K = 0.25
+"""Where no step is known, limits are wider for a sensor that began on a multiple of so much or more ..."""
+ON_STEPS_MIN = 60.0
+"""... and has stood on such ones since, over so long [min], ..."""
+ON_STEPS_SHARE = 0.6
+"""... for so much of the time: the others are means over a change from one to the next."""
 ON_STEP = 1e-3
 """A value is a multiple of a step when it is so near to one, in steps; it may have come in single precision."""
 STEPS_OF_LIMIT = 1.5
@@ -97,8 +106,8 @@ class WatchState:
     """Since when the others say that each sensor has left that value [min]; now where they do not."""
     heard: npt.NDArray[np.bool_]
     """Which sensors have ever had a value; before, one stands at its mean of training."""
-    in_steps: npt.NDArray[np.bool_]
-    """Which sensors count in coarse steps, as far as that is known, or as a value that stood still has told."""
+    steps: "Steps"
+    """In which steps the sensors count."""
     faults: tuple[SensorFault, ...] = field(default=())
 
     @property
@@ -107,17 +116,57 @@ class WatchState:
         return tuple(sorted({fault.sensor for fault in self.faults}))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Steps:
+    """In which steps sensors count, as far as that is known, or as their values tell; training may have seen finer."""
+
+    known_k: FloatArray
+    """Step that is known of each sensor [K], shape (n_sensors,), else 0."""
+    coarse: npt.NDArray[np.bool_]
+    """Which sensors count in coarse steps: that is known, or a value that stood still has told."""
+    share: FloatArray
+    """Of the time for which each has stood on multiples of each usual step since it began there, shape (2, 6,
+    n_sensors); 0 for good where that became too little."""
+    limit_k: FloatArray
+    """By which its limits are wider [K], shape (n_sensors,): the known one, or the largest that its values tell."""
+
+    @classmethod
+    def begun(cls, known_k: FloatArray, degc: FloatArray) -> "Steps":
+        """Return what the first values tell."""
+        share = _on_steps(degc).astype(np.float64)
+        return cls(known_k=known_k, coarse=known_k >= COARSE_K, share=share, limit_k=known_k)._told(share)
+
+    def after(self, degc: FloatArray, elapsed_min: float, told_k: FloatArray) -> "Steps":
+        """Return what is known after a row, in which values that stood still told steps [K]."""
+        on_steps = _on_steps(degc).astype(np.float64)
+        share = on_steps + math.exp(-elapsed_min / ON_STEPS_MIN) * (self.share - on_steps)
+        stands = (self.share > 0.0) & (share >= ON_STEPS_SHARE)
+        told = self._told(np.asarray(np.where(stands, share, 0.0), dtype=np.float64))
+        return replace(told, coarse=self.coarse | (told_k >= COARSE_K))
+
+    def anew(self, degc: FloatArray, sensors: Sequence[int]) -> "Steps":
+        """Return what is known where some sensors begin anew."""
+        share = self.share.copy()
+        share[..., sensors] = _on_steps(degc[sensors])
+        return self._told(share)
+
+    def _told(self, share: FloatArray) -> "Steps":
+        told_k = np.max(SIZES_K * (share > 0.0) * (USUAL_STEPS_K >= WIDE_K)[:, None], axis=(0, 1))
+        return replace(self, share=share, limit_k=np.where(self.known_k > 0.0, self.known_k, told_k))
+
+
 def usual_step_k(degc: FloatArray) -> FloatArray:
     """Return the largest usual step of which each temperature is a multiple, in degC or degF [K]; else 0.
 
     `degc`, shape (n,): temperatures [degC].
     """
-    step_k = np.zeros(len(degc))
-    for shown, per_k in ((degc, 1.0), (1.8 * degc + 32.0, 1.8)):
-        steps = shown[:, None] / USUAL_STEPS_K
-        on_it = np.abs(steps - np.round(steps)) <= ON_STEP
-        step_k = np.maximum(step_k, np.max(np.where(on_it, USUAL_STEPS_K, 0.0), axis=1) / per_k)
-    return step_k
+    return np.asarray(np.max(SIZES_K * _on_steps(degc), axis=(0, 1)))
+
+
+def _on_steps(degc: FloatArray) -> npt.NDArray[np.bool_]:
+    """Return of which usual steps each temperature is a multiple, in degC and in degF, shape (2, 6, n)."""
+    steps = np.stack([degc, 1.8 * degc + 32.0])[:, None] / USUAL_STEPS_K[:, None]
+    return np.asarray(np.abs(steps - np.round(steps)) <= ON_STEP)
 
 
 def _expected(of_out: FloatArray, scaled: FloatArray, out: npt.NDArray[np.intp]) -> FloatArray:
@@ -131,13 +180,12 @@ class Watcher:
     """Steps the state of a watch; keeps only what follows from the watch itself.
 
     `watch`: limits and predictions from training. `steps_k`: step in which each sensor counts [K], 0 where none is
-    known, so that values which stand still tell it; empty: of none. Training may have seen finer values.
+    known, so that values tell it; empty: of none. Training may have seen finer values.
     """
 
     def __init__(self, watch: SensorWatch, steps_k: Sequence[float] = ()) -> None:
         self.watch = watch
         self._steps_k = np.array(steps_k) if len(steps_k) else np.zeros(watch.layout.sensors)
-        self._threshold_k = np.maximum(watch.threshold_k, STEPS_OF_LIMIT * self._steps_k)
         self._maps: dict[tuple[int, ...], tuple[FloatArray, FloatArray]] = {}
         self._most_maps = max(2, MOST_MAP_VALUES // (watch.layout.sensors * watch.layout.columns))
         _, self._usual = self._map(())
@@ -165,9 +213,8 @@ class Watcher:
         fast[out] = columns[out] + _expected(of_out, fast - columns, out)
         slow[out] = fast[out] - _expected(of_out, fast - slow, out)
         over_min[anew], flat_since[anew] = 0.0, state.time_min
-        return replace(
-            state, lagged=lagged, fast=fast, slow=slow, over_min=over_min, flat_since_min=flat_since, faults=faults
-        )
+        state = replace(state, steps=state.steps.anew(state.degc, anew), faults=faults)
+        return replace(state, lagged=lagged, fast=fast, slow=slow, over_min=over_min, flat_since_min=flat_since)
 
     def _lags_as_expected(self, state: WatchState, of_out: FloatArray, sensors: Sequence[int]) -> FloatArray:
         """Return the lags, those of some sensors as far behind them as all others let it be expected [degC]."""
@@ -184,16 +231,15 @@ class Watcher:
 
     def _map(self, excluded: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
         if excluded not in self._maps:
-            watch = self.watch
             if len(self._maps) >= self._most_maps:
                 self._maps.clear()
-            self._maps[excluded] = departure_maps(watch.layout, watch.precision, watch.gain, excluded)
+            layout, precision, gain = self.watch.layout, self.watch.precision, self.watch.gain
+            self._maps[excluded] = departure_maps(layout, precision, gain, excluded)
         return self._maps[excluded]
 
     def begin(self, time_min: float, degc: FloatArray, speed_rpm: float) -> WatchState:
         """Return the state at the first sample; a sensor without a value begins at its mean of training."""
-        watch = self.watch
-        count = watch.layout.sensors
+        watch, count = self.watch, self.watch.layout.sensors
         filled = np.where(np.isfinite(degc), degc, watch.centre[:count])
         speed = speed_inputs(np.array([np.nan_to_num(speed_rpm)]), watch.speed_scale_rpm)[0]
         lagged = np.tile(filled, (len(watch.layout.lags_min), 1))
@@ -214,7 +260,7 @@ class Watcher:
             flat_from=np.zeros(count),
             moved_since_min=np.full(count, time_min),
             heard=np.isfinite(degc),
-            in_steps=self._steps_k >= COARSE_K,
+            steps=Steps.begun(self._steps_k, filled),
         )
 
     def _columns(self, degc: FloatArray, lagged: FloatArray, speed_lagged: FloatArray) -> FloatArray:
@@ -255,8 +301,7 @@ class Watcher:
             departed = self._departed(advanced, advanced.excluded)
             return replace(advanced, over_min=np.zeros_like(advanced.over_min), departed=departed, faults=state.faults)
         at_once = self._faults_at_once(state, advanced, degc)
-        if at_once:
-            advanced = replace(advanced, faults=(*advanced.faults, *at_once))
+        advanced = replace(advanced, faults=(*advanced.faults, *at_once))
         return self._find_departures(advanced, elapsed_min)
 
     def _advance(
@@ -278,7 +323,7 @@ class Watcher:
         same = (np.abs(filled - state.degc) <= SAME_K) & (elapsed_min <= BRIDGE_MIN)
         step_k, told = self._steps_k.copy(), same & (self._steps_k <= 0.0)
         step_k[told] = usual_step_k(filled[told])
-        least = np.maximum(MOVED, step_k / self._threshold_k)
+        least = np.maximum(MOVED, step_k / self._limit_k(state))
         return WatchState(
             time_min=time_min,
             degc=filled,
@@ -294,13 +339,15 @@ class Watcher:
             flat_from=np.where(same, state.flat_from, state.departed),
             moved_since_min=np.where(same & (np.abs(moved) > least), state.moved_since_min, time_min),
             heard=state.heard | known,
-            in_steps=state.in_steps | (step_k >= COARSE_K),
+            steps=state.steps.after(filled, elapsed_min, step_k),
             faults=state.faults,
         )
 
     def _faults_at_once(self, before: WatchState, now: WatchState, degc: FloatArray) -> list[SensorFault]:
         watch, excluded = self.watch, set(now.excluded)
-        slew = (np.abs(now.degc - before.degc) - self._steps_k) / np.maximum(now.time_min - before.known_min, 1e-9)
+        slew = (np.abs(now.degc - before.degc) - before.steps.limit_k) / np.maximum(
+            now.time_min - before.known_min, 1e-9
+        )
         signs = {
             MISSING: now.time_min - now.known_min > max(BRIDGE_MIN, 2.5 * (now.time_min - before.time_min)),
             "slew": np.isfinite(degc) & before.heard & (slew > watch.slew_k_per_min),
@@ -319,7 +366,7 @@ class Watcher:
 
         A sensor that counts in steps keeps its value for as long as the machine hardly warms.
         """
-        flat_min = np.where(state.in_steps, np.maximum(self.watch.flat_min, FLAT_MIN), self.watch.flat_min)
+        flat_min = np.where(state.steps.coarse, np.maximum(self.watch.flat_min, FLAT_MIN), self.watch.flat_min)
         must_move = (flat_min < FLAT_MIN) | (state.time_min - state.moved_since_min >= FLAT_MIN)
         return np.asarray((state.time_min - state.flat_since_min >= flat_min) & must_move)
 
@@ -330,8 +377,11 @@ class Watcher:
     def _departed(self, state: WatchState, excluded: tuple[int, ...]) -> FloatArray:
         maps, expected = self._map(excluded)
         widening = np.divide(expected, self._usual, out=np.ones_like(expected), where=self._usual > 0.0)
-        limit_k = self._threshold_k * np.maximum(widening, 1.0)
+        limit_k = self._limit_k(state) * np.maximum(widening, 1.0)
         return np.asarray(maps @ (state.fast - state.slow) / limit_k)
+
+    def _limit_k(self, state: WatchState) -> FloatArray:
+        return np.maximum(self.watch.threshold_k, STEPS_OF_LIMIT * state.steps.limit_k)
 
     def _find_departures(self, state: WatchState, elapsed_min: float) -> WatchState:
         excluded = state.excluded

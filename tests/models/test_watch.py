@@ -304,6 +304,37 @@ def test_a_sensor_whose_coarse_step_is_known_departs_and_jumps_by_its_step(
     assert [fault.sensor for fault in follow(watch, stepped, broken, 10, steps_k).faults] == [2]
 
 
+@pytest.mark.parametrize(("step_k", "readings"), [(0.5, 1), (1.0, 1), (1.0 / 1.8, 1), (0.5, 6), (1.0, 6)])
+def test_sensors_that_turn_out_to_count_coarsely_depart_and_jump_by_their_step(
+    watch: SensorWatch, whole: Recording, step_k: float, readings: int
+) -> None:
+    """Their values tell the step: of six sensors two to five were excluded. A mean over a change lies between two."""
+    zero = 32.0 / 1.8 if step_k not in (0.5, 1.0) else 0.0
+    times = np.arange(whole.rows * readings) / readings
+    fine = np.column_stack([np.interp(times, np.arange(whole.rows), degc) for degc in whole.temperatures_degc.T])
+    degc = np.round((fine + zero) / step_k).reshape(whole.rows, readings, SENSORS).mean(axis=1) * step_k - zero
+    assert follow(watch, whole, degc, 10).faults == ()
+    broken, drifting = degc.copy(), whole.temperatures_degc.copy()
+    broken[700:, 2] = 850.0
+    assert [fault.sensor for fault in follow(watch, whole, broken, 10).faults] == [2]
+    drifting[:, 2] += np.linspace(0.0, 10.0, whole.rows)
+    drifting = np.round((drifting + zero) / step_k) * step_k - zero
+    assert 2 in follow(watch, whole, drifting, 10).excluded
+
+
+def test_a_sensor_that_begins_on_a_coarse_step_and_shows_finer_values_has_the_limits_of_training(
+    watch: SensorWatch, whole: Recording
+) -> None:
+    assert whole.speed_rpm is not None
+    begins = whole.temperatures_degc + (np.round(whole.temperatures_degc[0]) - whole.temperatures_degc[0])
+    watcher = Watcher(watch)
+    state = watcher.begin(0.0, begins[0], 0.0)
+    assert (state.steps.limit_k == 1.0).all()
+    for row in range(1, 60):
+        state = watcher.step(state, float(row), begins[row], 0.0)
+    assert (state.steps.limit_k == 0.0).all()
+
+
 @pytest.mark.parametrize(
     ("degc", "step_k"),
     [
