@@ -20,9 +20,9 @@ from daemon.sinks.row_messages import JSON_COLUMNS
 from models.records import WriteOutcome
 
 
-def spelled_out(text: str | None) -> str | None:
+def spelled_out(value: Any) -> Any:
     r"""Return JSON without escapes such as \u9577, which a database takes in the encoding UTF8 only."""
-    return json.dumps(json.loads(text), ensure_ascii=False) if text is not None and "\\u" in text else text
+    return json.dumps(json.loads(value), ensure_ascii=False) if isinstance(value, str) and "\\u" in value else value
 
 
 CONVERSIONS: Mapping[str, Callable[[Any], Any]] = {

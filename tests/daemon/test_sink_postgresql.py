@@ -36,6 +36,7 @@ from daemon.sinks.plant_store import _put, row_of, store_status
 from daemon.sinks.postgresql import PostgresqlSink
 from daemon.sinks.postgresql_refusals import refusal
 from daemon.sinks.running import SinkRunner, make_sink
+from models.records import ProbeSample
 
 MACHINE = "mill 7"
 NOTE = json.dumps(
@@ -375,6 +376,18 @@ def test_two_machines_make_the_schema_at_the_same_time(server: Server, tmp_path:
     for thread in threads:
         thread.join()
     assert problems == ["", "", ""] and counts(server)["cnc"] == 36
+
+
+def test_a_probe_value_has_numbers_where_a_write_has_json(server: Server, tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    writer = HistoryWriter(store, clock=StillClock(), machine=SMALL)
+    writer.start()
+    numbers = {"deviation_um": 2.0, "applied_um": -6.0, "thermal_error_um": 6.5}
+    known = {"axis": "Z", "reference_id": "r", "accepted": True, "reason": ""}
+    writer.probe(ProbeSample(time=make.instant(EPOCH_S), **numbers, **known))
+    writer.close()
+    query = "SELECT deviation_um, applied_um, thermal_error_um FROM toolpoint.probes"
+    assert send(server, tmp_path, store).problem == "" and server.ask(query) == [(2.0, -6.0, 6.5)]
 
 
 def test_a_number_without_end_in_one_row_keeps_no_other_back(server: Server, tmp_path: Path) -> None:
