@@ -45,7 +45,10 @@ def refusal(error: Exception, config: PostgresqlConfig) -> str:
     if isinstance(error, errors.InvalidSchemaName):  # it is there, and `user_name` does not see it
         return f"`user_name` {config.user_name} may not use schema toolpoint: let the role that owns it be `user_name`"
     if isinstance(error, errors.InsufficientPrivilege):
-        return f"`user_name` {config.user_name} may not do this ({text}): let it create in `database`"
+        return (
+            f"`user_name` {config.user_name} may not do this ({text}): let it create in `database`, and own schema "
+            "toolpoint and its tables"
+        )
     if isinstance(error, errors.DiskFull):
         return f"its disk is full ({text}): free space on the server"
     if isinstance(error, ALTERED):

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -514,6 +515,28 @@ def test_a_second_computer_of_one_name_is_refused_and_waits_until_the_first_is_g
         finally:
             ends[0].set()
             working.join()
+
+
+def test_the_rights_that_the_guide_gives_are_enough_to_notice_a_second_computer(tmp_path: Path) -> None:
+    guide = (Path(__file__).parents[2] / "docs/how-to/run-a-plant.md").read_text("utf-8")
+    (rights,) = re.findall(r"```\nuser store\n.*?(user mill-7\n.*?)```", guide, re.DOTALL)
+    (tmp_path / "acl").write_text(rights)
+    (tmp_path / "passwords").write_text("mill-7:own\n")
+    (tmp_path / "password").write_text("own\n")
+    subprocess.run(["mosquitto_passwd", "-U", str(tmp_path / "passwords")], check=True)
+    for name in ("acl", "passwords"):
+        (tmp_path / name).chmod(0o600)
+    lines = ("allow_anonymous false", f"password_file {tmp_path / 'passwords'}", f"acl_file {tmp_path / 'acl'}")
+    known = {"user_name": "mill-7", "password_file": tmp_path / "password", "history": []}
+    with mosquitto(tmp_path, *lines) as port:
+        first, second = (MqttSink(section(port, **known), MACHINE) for _ in range(2))
+        try:
+            first.open(Cursor(generation="a" * 32))
+            with pytest.raises(SinkError, match="another store sends as mill 7"):
+                second.open(Cursor(generation="b" * 32))
+        finally:
+            second.close()
+            first.close()
 
 
 def test_two_computers_of_one_name_that_come_back_together_do_not_both_send(tmp_path: Path) -> None:
