@@ -1,7 +1,8 @@
 """Temperatures of the whole machine from the cycles of its lines: cleansed, and their means over a window."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -10,10 +11,19 @@ from config.schema import Configuration
 from daemon.estimation.unit_watch import UnitWatch
 from drivers.clock import Clock
 from models.align import RollingMean
-from models.cleanse import CleansingRules, CleansingState, IndexArray, age_s, cleanse_cycle, initial_state
+from models.cleanse import (
+    CleansingResult,
+    CleansingRules,
+    CleansingState,
+    IndexArray,
+    age_s,
+    cleanse_cycle,
+    initial_state,
+)
 from models.quality import GOOD, Quality, Reason
 from models.records import CodeArray, FloatArray, MachineTemperatures, Reference, TemperatureCycle
 from models.sensor_levels import (
+    MOMENT_S,
     UNKNOWN_K,
     BelievedValues,
     SensorLevels,
@@ -30,12 +40,52 @@ from models.sensor_levels import (
 )
 from models.standing_input import StandingInput, renewed_input
 
+AtOnce = Callable[[FloatArray], npt.NDArray[np.bool_]]
 NAMED = 3
 """So many sensors are named in one sentence."""
 LATEST = 3
 """So many references before the newest may be asked for again: those between were refused."""
 HELD_PERIODS = 2.5
 """A sensor whose value is older than so many cycles of its line has missed two."""
+
+
+class FastInputs:
+    """What sensors of inputs that are read more often than every ten seconds counted as a moment ago.
+
+    From one cycle to the next they change by less than the noise, however fast they go: what one cycle in ten seconds
+    would show as a jump is one.
+    """
+
+    def __init__(self) -> None:
+        self._then: dict[str, tuple[float, FloatArray]] = {}
+
+    def jumps(
+        self,
+        line: str,
+        period_s: float,
+        now_s: float,
+        result: CleansingResult,
+        before_degc: FloatArray,
+        at_once: AtOnce,
+    ) -> tuple[npt.NDArray[np.bool_], FloatArray]:
+        """Return which values of a cycle have jumped, and from where [degC].
+
+        `before_degc`: what counted last. `at_once`: which values lie too far from others for a jump to be none.
+        """
+        good = result.quality == GOOD
+        far = good & ~result.straight & at_once(before_degc)
+        if period_s >= MOMENT_S:
+            return far, before_degc
+        then_s, then_degc = self._then.get(line, (-np.inf, before_degc))
+        if now_s - then_s > MOMENT_S + period_s:
+            then_s, then_degc = -np.inf, before_degc
+        fast = good & at_once(then_degc)
+        far |= fast
+        ends = now_s - then_s >= MOMENT_S - period_s / 2
+        counts_degc = np.where(good, result.degc, np.nan)
+        anew = far | ~np.isfinite(then_degc)
+        self._then[line] = (now_s, counts_degc) if ends else (then_s, np.where(anew, counts_degc, then_degc))
+        return far, np.where(fast, then_degc, before_degc)
 
 
 class Cleansing:
@@ -52,7 +102,7 @@ class Cleansing:
             name: StandingInput(degc=np.full(len(places), np.nan)) for name, (places, _) in self._lines.items()
         }
         self.units = UnitWatch(temperatures, {name: places for name, (places, _) in self._lines.items()})
-        self._sensor_ids = temperatures.sensor_ids
+        self._fast, self._sensor_ids = FastInputs(), temperatures.sensor_ids
         self._step_k = np.array([temperatures.steps_k[each] for each in self._sensor_ids])
         self._period_s = np.zeros(len(position))
         for indices, period_s in self._lines.values():
@@ -238,8 +288,8 @@ class Cleansing:
         returned = result.returned & self._after_silence(indices, usable, now_s)
         good = result.quality == GOOD
         self.units.counted(indices[good], result.degc[good])
-        most_degc, step_k = self._rules.max_change_degc, self._step_k[indices]
-        far = good & ~result.straight & _at_once(before_degc, result.degc, most_degc, step_k)
+        most = {"degc": result.degc, "most_degc": self._rules.max_change_degc, "step_k": self._step_k[indices]}
+        far, before_degc = self._fast.jumps(cycle.line, period_s, now_s, result, before_degc, partial(_at_once, **most))
         jumped = (result.new_level | (far & heard)) & ~returned & np.isfinite(before_degc)
         self._jumped_at_s[indices[far]] = now_s
         self._silent[indices[good]] = False

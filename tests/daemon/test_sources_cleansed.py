@@ -27,18 +27,19 @@ BOX = {"id": 9, "component": "Spindle unit", "label": "Nose", "address": 0, "ope
 TENTHS = {"type": "float32", "resolution": 0.1}
 
 
-def machine(**how: Any) -> Configuration:
+def machine(period_s: float = 10.0, **how: Any) -> Configuration:
     content = yaml.safe_load(sample_configuration())
     modbus = {"host": "box", "sensors": [{**BOX, **how}, {**BOX, "id": 10, "address": 2, **how}]}
-    content["temperatures"]["sources"] = [{"name": "box", "driver": "modbus", "modbus": modbus}]
+    source = {"name": "box", "driver": "modbus", "modbus": modbus, "cycle_period_s": period_s}
+    content["temperatures"]["sources"] = [source]
     return parse_yaml_model(yaml.safe_dump(content), Configuration, "f.yaml")
 
 
 class Fed:
     """What becomes of the box's readings, the line being silent."""
 
-    def __init__(self, **how: Any) -> None:
-        configuration = machine(**how)
+    def __init__(self, period_s: float = 10.0, **how: Any) -> None:
+        configuration = machine(period_s, **how)
         (source,) = configuration.temperatures.sources or ()
         self._maker = RowMaker(source)
         self._cleansing = Cleansing(configuration, SystemClock())
@@ -94,6 +95,30 @@ def test_a_change_as_large_as_the_largest_is_a_jump_but_not_of_a_sensor_that_cou
         fed(10.0 * i, from_degc, 20.0)
     found = [fed._cleansing.jumped_k for i in range(6, 12) if fed(10.0 * i, from_degc + step_k, 20.0)]
     assert any(each is not None for each in found) == jumped
+
+
+@pytest.mark.parametrize("period_s", [0.2, 1.0, 5.0, 10.0])
+def test_a_sensor_that_comes_off_is_doubted_however_often_it_is_read(period_s: float) -> None:
+    """It goes to the air's temperature within half a minute: from one reading to the next by less than the noise."""
+    fed = Fed(period_s, **TENTHS)
+    for at_s in np.arange(0.0, 300.0, period_s):
+        fed(at_s, 25.0, 24.0)
+    for at_s in np.arange(300.0, 400.0, period_s):
+        fed(at_s, round(20.0 + 5.0 * math.exp(-(at_s - 300.0) / 10.0), 1), 24.0)
+    uncertain_k = fed._cleansing.levels.uncertainty_k
+    assert uncertain_k[4] == pytest.approx(-4.3, abs=0.8) and uncertain_k[5] == 0.0
+
+
+@pytest.mark.parametrize("period_s", [0.2, 1.0, 3.0, 5.0, 7.0, 10.0])
+def test_a_spindle_that_warms_fast_and_a_sensor_with_noise_are_believed_however_often_they_are_read(
+    period_s: float,
+) -> None:
+    fed, rng = Fed(period_s, **TENTHS), np.random.default_rng(4)
+    for at_s in np.arange(0.0, 400.0, period_s):
+        warm_degc = float(np.interp(at_s, [100.0, 280.0], [20.0, 33.0]))
+        fed(at_s, round(warm_degc, 1), round(25.0 + rng.normal(0.0, 0.15), 1))
+        assert at_s < 60.0 or fed.refusal(at_s) == "", "a reference is set meanwhile"
+    assert not fed._cleansing.levels.uncertainty_k.any() and fed._cleansing.levels.jumps == ()
 
 
 @pytest.mark.parametrize("wrong", [33.0, 21.5, -15.0, 99.0])

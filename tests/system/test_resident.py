@@ -6,7 +6,7 @@ import sys
 
 from config.machines import shipped_file
 
-MODULES, LINES = 197, 29_994
+MODULES, LINES = 197, 30_044
 """What it is; to come down to 150 modules and 20 000 lines."""
 COUNT = """
 import json, pathlib, sys
