@@ -143,17 +143,13 @@ def step(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> tu
 
     """
     memory = _heed_requests(memory, inputs, limits)
-    memory = follow_tool(follow_reference(memory, inputs, limits.stale_after_s), inputs)
+    memory = follow_error(follow_reference(memory, inputs, limits.stale_after_s), inputs, limits)
+    memory = follow_tool(memory, inputs)
     memory = follow_confidence(take_probe(memory, inputs, limits), inputs, limits)
     memory = _where_withdrawn(_change_state(memory, inputs, limits), inputs)
     requested = _request(memory, inputs)
     command, hit = _limit(memory, inputs, limits, requested)
-    memory = replace(
-        follow_error(memory, inputs, limits),
-        command_um=command,
-        last_s=max(inputs.now_s, memory.last_s),
-        limits_hit=hit,
-    )
+    memory = replace(memory, command_um=command, last_s=max(inputs.now_s, memory.last_s), limits_hit=hit)
     enable = _enable_bits(memory, inputs)
     return memory, CompensationCommand(
         axes=limits.axes,

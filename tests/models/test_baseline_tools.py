@@ -1,5 +1,7 @@
 """Tool settings and tool terms: where the request of a tool counts from, and for how long."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from output_machine import Machine
@@ -18,6 +20,14 @@ def test_a_tool_setting_moves_nothing_and_is_kept_for_that_tool_alone():
     assert machine.applied[1] == pytest.approx(before[1] + 6.0, abs=0.02)
     machine.set(tool_number=1).step(60)
     assert machine.applied[1] == pytest.approx(30.0, abs=0.02), "tool 1 counts from the work's reference"
+
+
+def test_a_tool_that_is_set_with_the_first_estimate_after_a_restart_counts_from_that_estimate():
+    """Before, it counted from no thermal error at all: 20 um off, ACTIVE."""
+    machine = Machine().following()
+    machine.memory = replace(machine.memory, error_um=None)  # no record keeps the estimate
+    machine.step(tool_setting=(False, True)).step(60)
+    assert machine.applied == pytest.approx([3.0, 20.0], abs=0.02)
 
 
 def test_the_setting_of_another_tool_survives_a_new_reference_of_the_work():

@@ -12,9 +12,12 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 from output_machine import AXES, ON, Machine
 
 from models.control.baseline import probe_inhibit, tool_setting_inhibit
-from models.control.compensation import first_inhibit
+from models.control.compensation import first_inhibit, initial_memory
+from models.control.reference import count_from
+from models.control.reference_records import ReferenceMemory, ReferenceRecord, ReferenceState
+from models.control.reference_restart import resumed
 from models.control.state import OperatorRequest
-from models.records import OutputState, Phase
+from models.records import Instant, OutputState, Phase, Reference
 
 TOOLS = (1, 2, 3)
 STANDS_UM = 0.1
@@ -145,6 +148,30 @@ class Truth(RuleBasedStateMachine):
             self.tell()
             self.machine.step()
 
+    @rule(then=st.sampled_from(["", "set", "probed", "positioned"]))
+    def daemon_restarts(self, then: str) -> None:
+        """The output begins at the guard's echo, and goes on from what was kept with the reference."""
+        machine = self.machine
+        output = machine.memory
+        counts_from = output.error_reference_id
+        begun = initial_memory(now_s=machine.now_s, applied_um=machine.applied, wanted=output.wanted)
+        if counts_from is not None and machine.state.kept_reference_id == counts_from:
+            in_force = output.reference_id == counts_from == machine.state.reference_id
+            state = ReferenceState.VALID if in_force else ReferenceState.ENDED
+            kept = ReferenceMemory(state=state, record=ReferenceRecord(reference=reference(counts_from)))
+            begun = resumed(begun, count_from(kept, output, AXES))
+            if not in_force:
+                machine.set(reference_id=None)
+        else:
+            machine.set(reference_id=None, kept_reference_id=None)
+        machine.memory = begun
+        if then == "set":
+            self.tool_is_set(axis=1)
+        elif then == "probed":
+            self.probed(axis=1)
+        elif then == "positioned":
+            self.work_is_positioned()
+
     @rule(on=st.booleans())
     def switched(self, on: bool) -> None:
         self.machine.step(request=ON if on else OperatorRequest(disable=frozenset(AXES)))
@@ -161,6 +188,18 @@ class Truth(RuleBasedStateMachine):
         if machine.memory.state is OutputState.ACTIVE:
             off_um = self.stands_um() - self.means_um()
             assert np.all(np.abs(off_um) <= STANDS_UM), f"{off_um} um off, T{machine.state.tool_number}"
+
+
+def reference(reference_id: str) -> Reference:
+    return Reference(
+        reference_id=reference_id,
+        time=Instant(utc_s=0.0, monotonic_s=0.0, real_s=0.0),
+        source="N100",
+        degc=np.zeros(1),
+        program=1,
+        work_offset=54,
+        power_on_count=1,
+    )
 
 
 def first_inhibit_of(machine: Machine):
