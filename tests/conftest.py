@@ -17,6 +17,7 @@ settings.register_profile("patient", deadline=None, suppress_health_check=[Healt
 settings.load_profile("patient")
 
 HARDSHIPS = "tests/system/test_hardships.py::test_nothing_acknowledged_is_lost_and_what_must_hold_holds"
+REPLAY = "tests/daemon/test_replay_follows.py::test_every_family_that_training_makes_is_followed"
 LONGEST_FIRST = (
     f"{HARDSHIPS}[process]",
     "tests/daemon/test_truth_of_combined_faults.py",
@@ -25,18 +26,33 @@ LONGEST_FIRST = (
     "tests/system/test_faults.py",
     "tests/daemon/test_truth_after_bad_input.py",
     f"{HARDSHIPS}[calendar]",
-    "tests/daemon/test_replay_follows.py",
+    "tests/drivers/test_cnc_contract.py",
+    f"{REPLAY}[default]",
+    "tests/daemon/test_lags_on_line.py",
+    f"{REPLAY}[gaussian]",
+    "tests/system/test_warm_up.py",
+    f"{REPLAY}[lags]",
+    "tests/system/test_stability_referee.py",
+    f"{REPLAY}[increments]",
+    "tests/models/test_chatter.py",
+    f"{REPLAY}[increments-b0]",
+    "tests/daemon/test_cli_thermal_evaluate.py",
+    f"{REPLAY}[ridge]",
+    "tests/system/test_warm_up_spindle.py",
+    f"{REPLAY}[pls]",
+    "tests/models/test_semi_discretisation.py",
+    f"{REPLAY}[lasso]",
     "tests/system/test_fault_campaign.py",
+    "tests/daemon/test_replay_follows.py",
     "tests/system/test_pages.py",
     "tests/system/test_end_to_end.py",
-    "tests/daemon/test_cli_thermal_evaluate.py",
     "tests/daemon/test_monitor_contract.py",
     "tests/system/test_spindle_speed_wires.py",
-    "tests/daemon/test_lags_on_line.py",
     "tests/daemon/test_planner_process.py",
     "tests/system",
 )
-"""What takes longest, each that waits beside one that computes: whoever comes last leaves the other processors idle."""
+"""What takes longest, each that waits beside one that computes: whoever comes last leaves the other processors idle, and
+so do those that wait when nothing that computes is beside them."""
 ONE_BY_ONE = ("tests/system/test_hardships.py", "tests/daemon/test_replay_follows.py")
 """Files whose tests share nothing and take long, and are given to processes one by one."""
 IN_MEMORY = Path("/dev/shm")
