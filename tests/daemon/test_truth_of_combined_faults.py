@@ -4,7 +4,7 @@ Histories are random, and every number is one; those that once ended wrong are p
 """
 
 import asyncio
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -32,6 +32,23 @@ ONCE_WRONG = {
 }
 
 
+FOLLOWED = frozenset(
+    int(seed)
+    for seed in """
+    2005 2006 2009 2014 2015 2017 2019 2020 2021 2024 2026 2027 2029 2034 2038 2044 2046 2048 2050 2051 2053 2054
+    2056 2062 2065 2069 2070 2072 2073 2074 2078 2083 2084 2089 2090 2091 2093 2095 2096 2097 2099 2103 2105 2107
+    2109 2110 2115 2116 2119 2120 2121 2122 2125 2128 2133 2136 2137 2145 2146 2147 2148 2149 2150 2151 2154 2155
+    2156 2157 2158 2159 2161 2163 2164 2165 2167 2173 2174 2176 2177 2179 2181 2182 2183 2184 2186 2187 2194 2196
+    2197
+    2201 2205 2208 2210 2212 2216 2222 2225 2228 2230 2239 2246 2247 2249 2250 2251 2259 2263 2267 2268 2270 2273
+    2274 2276 2279 2284 2285 2290 2292 2294 2295 2298 2299 2303 2305 2308 2311 2322 2327 2330 2335 2339 2344 2346
+    2347 2348
+    """.split()
+)
+"""Of 200 random histories from 2000 on, and 150 from 2200 on with restarts, those that end with an output that follows:
+few others find anything at their end."""
+
+
 @pytest.fixture(autouse=True, scope="module")
 def quiet() -> Iterator[None]:
     """Thousands of moments would fill the log."""
@@ -52,7 +69,13 @@ def test_a_history_that_once_ended_wrong_ends_at_the_truth_or_holds(tmp_path: Pa
     assert not shop.findings, "\n".join([*shop.findings[:3], *shop.said])
 
 
-def judge(directory: Path, seeds: range, *, wider: bool = False) -> None:
+def telling(first: int, count: int) -> list[int]:
+    """Return so many seeds from the first one on, but those that are known to be judged at their end before others."""
+    seeds = range(first, first + max(count, 200))
+    return sorted(sorted(seeds, key=lambda seed: seed not in FOLLOWED)[:count])
+
+
+def judge(directory: Path, seeds: Sequence[int], *, wider: bool = False) -> None:
     followed, wrong = 0, []
     for seed in seeds:
         shop = played(directory, seed, wider=wider, first=FIRST)
@@ -68,8 +91,8 @@ def test_some_histories_end_at_the_truth_or_hold(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_many_histories_end_at_the_truth_or_hold(tmp_path: Path) -> None:
-    judge(tmp_path, range(2000, 2200))
+def test_many_histories_end_at_the_truth_or_hold(tmp_path: Path, times_as_many: int) -> None:
+    judge(tmp_path, telling(2000, 120 * times_as_many))
 
 
 def test_some_histories_with_restarts_and_a_guard_that_goes_to_zero_end_at_the_truth_or_hold(tmp_path: Path) -> None:
@@ -77,5 +100,7 @@ def test_some_histories_with_restarts_and_a_guard_that_goes_to_zero_end_at_the_t
 
 
 @pytest.mark.slow
-def test_many_histories_with_restarts_and_a_guard_that_goes_to_zero_end_at_the_truth_or_hold(tmp_path: Path) -> None:
-    judge(tmp_path, range(2200, 2350), wider=True)
+def test_many_histories_with_restarts_and_a_guard_that_goes_to_zero_end_at_the_truth_or_hold(
+    tmp_path: Path, times_as_many: int
+) -> None:
+    judge(tmp_path, telling(2200, 90 * times_as_many), wider=True)
