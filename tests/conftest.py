@@ -51,8 +51,8 @@ LONGEST_FIRST = (
     "tests/daemon/test_planner_process.py",
     "tests/system",
 )
-"""What takes longest, each that waits beside one that computes: whoever comes last leaves the other processors idle, and
-so do those that wait when nothing that computes is beside them."""
+"""What takes longest, each that waits beside one that computes: whoever comes last leaves the other processors idle,
+and so do those that wait beside each other."""
 ONE_BY_ONE = ("tests/system/test_hardships.py", "tests/daemon/test_replay_follows.py")
 """Files whose tests share nothing and take long, and are given to processes one by one."""
 IN_MEMORY = Path("/dev/shm")
