@@ -32,6 +32,8 @@ MOMENT_S = 10.0
 CHANGES_KEPT, OF_EACH = 200, 4
 """So many changes of shifts and jumps are kept, but of a whole machine so many of each sensor."""
 GAPS_KEPT = 100
+JUST_S = 1e-3
+"""A sensor was right until so long before its jump [s]."""
 UNKNOWN_K = 1e3
 """Stands for an error that nobody knows: more than any sensor is wrong by [K]."""
 
@@ -226,6 +228,21 @@ def with_gap(levels: SensorLevels, from_s: float, to_s: float, sensors: GroupArr
     return replace(levels, gaps=(*levels.gaps, (from_s, to_s, tuple(sensors.tolist())))[-GAPS_KEPT:])
 
 
+def gone_on(before: SensorLevels, now: SensorLevels, since_s: float) -> SensorLevels:
+    """Return the levels after a cycle of an input that had stood since a time [s] and goes on.
+
+    A sensor that is right with it has jumped back; the jump of any other is what was missed, and nothing of the past.
+
+    `before`, `now`: levels before and after the cycle.
+    """
+    wrong_k = now.lasting_k + now.uncertainty_k
+    missed = {each for each in set(now.jumps).difference(before.jumps) if abs(wrong_k[each[1]]) > OWN_K}
+    jumps, away_s = [each for each in now.jumps if each not in missed], dict(now.away_s)
+    for _, index, by_k in missed:
+        away_s.setdefault(index, _wrong_since_s(jumps, index, wrong_k[index] - by_k, since_s))
+    return replace(now, jumps=tuple(jumps), away_s=MappingProxyType(away_s))
+
+
 def jumped_k(before: SensorLevels, now: SensorLevels) -> FloatArray | None:
     """Return by how much sensors have jumped from one cycle to the next [K], shape (n_sensors,); None where none has.
 
@@ -316,7 +333,7 @@ def _judged(
         elif abs(wrong_k) <= near_k and index in away_s:
             from_s = away_s.pop(index)
             again[from_s] = (*again.get(from_s, ()), index)
-            jumps = [each for each in jumps if each[1] != index or each[0] < from_s]
+            jumps = [each for each in jumps if each[1] != index or each[0] <= from_s]
         elif abs(wrong_k) <= near_k or not seen.returned[place]:
             jumps.append((seen.now_s, index, off_k))
         else:
@@ -335,7 +352,7 @@ def _wrong_since_s(jumps: list[tuple[float, int, float]], index: int, wrong_k: f
     since_s = left_s
     for at_s, of, by_k in reversed(jumps):
         if abs(wrong_k) > OWN_K and of == index:
-            since_s, wrong_k = at_s, wrong_k - by_k
+            since_s, wrong_k = at_s - JUST_S, wrong_k - by_k
     return since_s if abs(wrong_k) <= OWN_K else left_s
 
 

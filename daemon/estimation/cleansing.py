@@ -30,6 +30,7 @@ from models.sensor_levels import (
     counted_again,
     doubted,
     first_levels,
+    gone_on,
     jumped_k,
     renewed_levels,
     trusted,
@@ -328,7 +329,7 @@ class Cleansing:
         self.gap_ended = since_s is not None and not (quality == Quality.HELD).any()
         if since_s is None:
             return
-        self.jumped_k, self.levels = None, replace(self.levels, jumps=were.jumps)
+        self.jumped_k, self.levels = None, gone_on(were, self.levels, since_s)
         if self.gap_ended:
             del self._stood_since_s[line]
             self.levels = with_gap(self.levels, since_s, now_s, self._lines[line][0])

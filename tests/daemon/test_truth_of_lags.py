@@ -91,6 +91,17 @@ def from_memory(begin: int, end: int) -> Disturbance:
     return disturb
 
 
+def one_after_the_other(*disturbances: Disturbance) -> Disturbance:
+    """What arrives has met all of them."""
+
+    def disturb(loop: TwinLoop, moment: int, line: str, frames: Frames, rng: np.random.Generator) -> Frames:
+        for each in disturbances:
+            frames = each(loop, moment, line, frames, rng)
+        return frames
+
+    return disturb
+
+
 def ahead_of_lags() -> LinearModel:
     """A model to which a lag that was led astray is worth as much as a temperature."""
     (vector,), (solution,) = MODEL.test_vectors, MODEL.solutions
@@ -214,3 +225,16 @@ def test_a_line_that_answered_from_memory_moves_nothing_after_the_work_is_positi
     assert states[60] is OutputState.HOLD and states[80] is OutputState.HOLD
     assert states[-1] is OutputState.ACTIVE
     assert np.abs(off_um[95:] - off_um[95]).max() <= WITHIN_UM
+
+
+@pytest.mark.parametrize(
+    "wrong", [range(5, 60), range(45, 75)], ids=["jumped before it answered from memory", "after it"]
+)
+def test_nor_does_a_sensor_of_it_that_jumps_and_is_right_again(tmp_path: Path, wrong: range) -> None:
+    """The other half of its jump is what was missed meanwhile: the past was told as wrong as that."""
+    disturbance = one_after_the_other(says(0, (wrong, 56)), from_memory(10, 60))
+    off_um, states = run(tmp_path, disturbance, PLACE, 110, ahead_of_lags())
+    assert states[55] is OutputState.HOLD
+    assert states[-1] is OutputState.ACTIVE
+    followed = np.array([state is OutputState.ACTIVE for state in states])
+    assert np.abs(off_um[80:][followed[80:]]).max() <= 0.5

@@ -94,3 +94,20 @@ def test_a_sensor_that_goes_back_from_a_third_level_to_a_doubted_one_is_doubted(
     assert levels.shift_k[0] == pytest.approx(17.0)
     levels = renewed_levels(levels, np.arange(3), seen(400.0, still + [3.0, 0.0, 0.0], np.array([-17.0, 0.0, 0.0])))
     assert levels.shift_k[0] == 0.0 and abs(levels.uncertainty_k[0]) >= 3.0
+
+
+@pytest.mark.parametrize("back_k", [0.0, 3.0], ids=["jumped back with its last value", "jumped with its last value"])
+def test_a_sensor_that_left_with_a_jump_and_came_back_wrong_is_told_of_the_past_as_it_was(back_k: float) -> None:
+    levels, lines, still = first_levels(3), np.arange(3), np.full(3, 20.0)
+    for now_s, off_k in ((0.0, 0.0), (100.0, 8.0), (200.0, back_k)):
+        now = still + [off_k, 0.0, 0.0]
+        jump_k = 0.0 if not now_s else float(now[0] - levels.degc[0])
+        levels = renewed_levels(levels, lines, seen(now_s, now, np.array([jump_k, 0.0, 0.0])))
+    gone = replace(seen(300.0, np.array([np.nan, 20.0, 20.0])), stale=np.array([True, False, False]))
+    levels = renewed_levels(levels, lines, replace(gone, at_s=np.full(3, 200.0)))
+    levels = renewed_levels(levels, lines, seen(500.0, still - [4.0, 0.0, 0.0], returned=1))
+    levels = renewed_levels(levels, lines, seen(600.0, still, np.array([4.0, 0.0, 0.0])))
+    assert not doubted(levels).any()
+    for time_s, off_k in ((50.0, 0.0), (100.0, 8.0), (150.0, 8.0), (200.0, back_k), (400.0, -4.0)):
+        told = unshifted(levels, time_s, still + [off_k, 0.0, 0.0])
+        assert np.isnan(told[0]) or told[0] == 20.0, time_s
