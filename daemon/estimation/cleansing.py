@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from config.schema import Configuration
+from daemon.estimation.memory_watch import MemoryWatch
 from daemon.estimation.unit_watch import UnitWatch
 from drivers.clock import Clock
 from models.align import RollingMean
@@ -39,7 +40,6 @@ from models.sensor_levels import (
     with_gap,
     with_past,
 )
-from models.standing_input import StandingInput, renewed_input
 
 AtOnce = Callable[[FloatArray], npt.NDArray[np.bool_]]
 NAMED = 3
@@ -99,10 +99,8 @@ class Cleansing:
             each.name: (np.array([position[i] for i in each.sensor_ids]), each.cycle_period_s)
             for each in temperatures.inputs
         }
-        self._standing = {
-            name: StandingInput(degc=np.full(len(places), np.nan)) for name, (places, _) in self._lines.items()
-        }
-        self.units = UnitWatch(temperatures, {name: places for name, (places, _) in self._lines.items()})
+        of_inputs = {name: places for name, (places, _) in self._lines.items()}
+        self.units, self.memory = UnitWatch(temperatures, of_inputs), MemoryWatch(of_inputs, clock)
         self._fast, self._sensor_ids = FastInputs(), temperatures.sensor_ids
         self._step_k = np.array([temperatures.steps_k[each] for each in self._sensor_ids])
         self._period_s = np.zeros(len(position))
@@ -122,8 +120,6 @@ class Cleansing:
         self._lasting_k: dict[str, FloatArray] = {}
         """Of the levels at the latest references [K]."""
         self._jumped_at_s = np.full(len(position), -np.inf)
-        self._stood_since_s: dict[str, float] = {}
-        """Since when inputs had stood that go on, until all their values count again [s]."""
         self.jumped_k: FloatArray | None = None
         """By how much sensors have jumped with the latest cycle [K], None where none has."""
         self.gap_ended = False
@@ -178,17 +174,7 @@ class Cleansing:
 
     def stands(self, now_s: float) -> str:
         """Return which line or source seems to answer from memory or in another unit, '' when none does."""
-        if why := self.units.why():
-            return why
-        for name, since_s in self._stood_since_s.items():
-            return f"{name} goes on after it had sent the very same numbers for {(now_s - since_s) / 60.0:.0f} min"
-        for name, each in self._standing.items():
-            if stood_s := each.stands_s(now_s):
-                return (
-                    f"{name} has sent the very same numbers for {stood_s / 60.0:.0f} min, though they changed all the "
-                    "time before: it may answer from memory; check it and what its sensors hang on"
-                )
-        return ""
+        return self.units.why() or self.memory.why(now_s)
 
     def refusal(self, usable: int, now_s: float) -> str:
         """Return why the means of now are no reference, '' when they are; `usable`: how many sensors have one."""
@@ -228,9 +214,8 @@ class Cleansing:
         doubts = dict.fromkeys(np.flatnonzero(doubted(self.levels)).tolist(), "is at a level that is doubted")
         found = np.isin(self._sensor_ids, [*wrong]) | (np.abs(self.levels.lasting_k) > UNKNOWN_K / 2)
         doubts |= dict.fromkeys(np.flatnonzero(found).tolist(), "was found wrong")
-        for name, each in self._standing.items():
-            if each.stands_s(now.trace.first_byte.monotonic_s):
-                doubts |= dict.fromkeys(self._lines[name][0].tolist(), "may be answered from memory")
+        standing = self.memory.standing(now.trace.first_byte.monotonic_s)
+        doubts |= dict.fromkeys(standing, "may be answered from memory")
         degc = np.where(now.age_s > HELD_PERIODS * self._period_s, np.nan, now.degc - self.levels.shift_k)
         degc[[*doubts]] = np.nan
         said = {place: f"sensor {self._sensor_ids[place]} {why}" for place, why in doubts.items()}
@@ -263,12 +248,9 @@ class Cleansing:
         indices, period_s = self._lines[cycle.line]
         now_s = cycle.trace.first_byte.monotonic_s
         read = np.where(cycle.quality == Quality.GOOD, cycle.degc, np.nan)
-        before = self._standing[cycle.line]
-        self._standing[cycle.line] = renewed_input(before, read, now_s)
-        if before.stands_s(now_s) and self._standing[cycle.line].since_s > before.since_s:
-            self._stood_since_s.setdefault(cycle.line, before.since_s)
+        latest_degc = self.memory.take(cycle.line, read, now_s)
         quality, reason = cycle.quality, cycle.reason
-        if self.units.says_other(cycle.line, self._standing[cycle.line].degc):
+        if self.units.says_other(cycle.line, latest_degc):
             told = quality == Quality.GOOD
             quality = np.where(told, np.uint8(Quality.MISSING), quality)
             reason = np.where(told, np.uint8(Reason.OTHER_UNIT), reason)
@@ -325,13 +307,13 @@ class Cleansing:
 
     def _goes_on(self, line: str, were: SensorLevels, quality: CodeArray, now_s: float) -> None:
         """Know that of an input that goes on nothing is known since it stood; its jumps are what it has missed."""
-        since_s = self._stood_since_s.get(line)
+        since_s = self.memory.stood_since_s(line)
         self.gap_ended = since_s is not None and not (quality == Quality.HELD).any()
         if since_s is None:
             return
         self.jumped_k, self.levels = None, gone_on(were, self.levels, since_s)
         if self.gap_ended:
-            del self._stood_since_s[line]
+            self.memory.counts(line)
             self.levels = with_gap(self.levels, since_s, now_s, self._lines[line][0])
 
     def _after_silence(self, indices: IndexArray, usable: npt.NDArray[np.bool_], now_s: float) -> npt.NDArray[np.bool_]:

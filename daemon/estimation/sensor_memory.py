@@ -13,6 +13,7 @@ from daemon.estimation.model_in_use import ModelInUse
 from daemon.history.writer import HistoryWriter
 from daemon.state_store.documents import (
     InOtherUnit,
+    InputsRead,
     LevelChange,
     LevelGap,
     LevelJump,
@@ -248,12 +249,16 @@ class LevelMemory:
         self._clock = clock
         self._kept = first_levels(len(self._sensor_ids))
         self._units = self._store.get(InOtherUnit) or InOtherUnit(units={}, degc={})
+        self._inputs = self._store.get(InputsRead) or InputsRead(inputs={})
 
-    def keep(self, levels: SensorLevels, in_other_unit: InOtherUnit) -> None:
-        """Store the levels, and which inputs say another unit, unless that is what is stored."""
+    def keep(self, levels: SensorLevels, in_other_unit: InOtherUnit, inputs: InputsRead | None = None) -> None:
+        """Store the levels, which inputs say another unit, and what inputs say, unless that is what is stored."""
         if in_other_unit is not self._units:
             self._units = in_other_unit
             self._store.put(in_other_unit)
+        if inputs is not None and inputs is not self._inputs:
+            self._inputs = inputs
+            self._store.put(inputs)
         before, self._kept = self._kept, levels
         same = (
             levels.left is before.left,
@@ -275,6 +280,10 @@ class LevelMemory:
     def units_restored(self) -> InOtherUnit:
         """Return the inputs that said another unit when the previous run ended."""
         return self._units
+
+    def inputs_restored(self) -> InputsRead:
+        """Return what inputs said when the previous run ended."""
+        return self._inputs
 
     def restored(self) -> SensorLevels:
         """Return the levels of the previous run; sensors that are not of this machine any more are left out."""

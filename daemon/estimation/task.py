@@ -142,9 +142,9 @@ class ThermalTask:
         self._next: ModelInUse | None = None  # waits for an estimate to go on from, or a reference
         self._since = SinceReference(self._sensor_ids, self._labels)
         self._levels = LevelMemory(history, self._sensor_ids, clock)
-        self._cleansing.levels = self._levels.restored()
-        self._since.excluded = self._levels.excluded_before()
+        self._cleansing.levels, self._since.excluded = self._levels.restored(), self._levels.excluded_before()
         self._cleansing.units.recall(self._levels.units_restored())
+        self._cleansing.memory.recall(self._levels.inputs_restored())
         self._tool_um_per_k = _tool_um_per_k(configuration)
         self._heard = np.zeros(len(self._sensor_ids), dtype=bool)
         self._say_faults = RateLimit[TemperatureCycle](_log_faults)
@@ -257,7 +257,7 @@ class ThermalTask:
         if self._past.calendar_set(max((each.memory_s for each in models), default=0.0)) or self._cleansing.gap_ended:
             for place, each in enumerate(models):
                 await self.use_model(each.model, at_once=place == 0)
-        self._levels.keep(self._cleansing.levels, self._cleansing.units.found)
+        self._levels.keep(self._cleansing.levels, self._cleansing.units.found, self._cleansing.memory.kept)
         self.cycles_received += 1
         self._telemetry.arrived(cycle)
         renewed = self._estimate(temperatures)

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from models.standing_input import StandingInput
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DaemonAlive:
@@ -123,3 +125,11 @@ class InOtherUnit:
     """What counted last of their sensors [degC], by ID."""
     configured: Mapping[str, str] = field(default_factory=dict)
     """By name of every source: the unit that was configured."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InputsRead:
+    """What lines and sources say, by which it is known that one answers from memory."""
+
+    inputs: Mapping[str, StandingInput]
+    """By name; their times are UTC [s]."""

@@ -13,6 +13,7 @@ from daemon.state_store.codec import DocumentError, from_json, to_json
 from daemon.state_store.documents import (
     DaemonAlive,
     InOtherUnit,
+    InputsRead,
     OutputFault,
     OwnOffsets,
     SensorLevelsDocument,
@@ -36,6 +37,7 @@ KEYS: dict[type, str] = {
     ReferenceDocument: "reference",
     SensorLevelsDocument: "sensor_levels",
     InOtherUnit: "in_other_unit",
+    InputsRead: "inputs_read",
     SpindleSpeeds: "spindle_speed",
     SpindleSpeedSwitch: "spindle_speed_off",
 }

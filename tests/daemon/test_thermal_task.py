@@ -415,6 +415,31 @@ async def test_a_line_that_answers_from_memory_holds_the_output_and_sets_no_refe
     assert task.estimates[-1].confidence == 1.0
 
 
+@pytest.mark.parametrize("stood_min", [6.0, 2.0], ids=["found before", "begun before"])
+async def test_that_a_line_answers_from_memory_outlives_a_restart(task, stood_min):
+    """Who restarts the daemon because the output holds would have it follow what stands."""
+    noise = np.random.default_rng(5)
+
+    async def heard(of, minutes):
+        for _ in range(round(minutes * 6)):
+            await of.minutes(1 / 6, *(np.round(20.0 + noise.normal(0.0, 0.03, n), 2) for n in (3, 2)))
+
+    await heard(task, 41)
+    await task.ask()
+    await task.minutes(stood_min, spindle=[20.01, 20.0, 20.02])
+    await task.history.flushed()
+    again = task.restarted(model())
+    try:
+        await again.task.recall()
+        await again.task._take(task.taken_up(task.references[-1]))
+        await again.minutes(6, spindle=[20.01, 20.0, 20.02])
+        assert "spindle has sent the very same numbers" in again.estimates[-1].inhibit
+        await heard(again, 2)
+        assert again.estimates[-1].confidence == 1.0 and again.estimates[-1].inhibit == ""
+    finally:
+        again.history.close()
+
+
 async def test_after_an_outage_as_long_as_is_taken_up_a_sensor_at_another_level_does_not_count_as_before(tmp_path):
     """A sensor that was exchanged meanwhile: believed as it came, 7 K at 2 um/K were 14 um with confidence 1."""
     of_rig = machine(tmp_path)
