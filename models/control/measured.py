@@ -99,10 +99,15 @@ def with_probed(memory: OutputMemory, inputs: OutputInputs, probed: FloatArray) 
 
 
 def with_model(memory: OutputMemory) -> OutputMemory:
-    """Return the memory after a change of model, which goes on from the latest estimate of the one before."""
-    before = memory.counted_found_um
+    """Return the memory after a change of model, which goes on from the latest estimate of the one before.
+
+    Where that was not trusted, everything that is counted from is in doubt.
+    """
+    before, unsure_um = memory.counted_found_um, memory.unsure_um if memory.unsure_um > UNSURE_UM else 0.0
     unset = np.full_like(memory.command_um, np.nan) if before is None else before
-    return replace(memory, counted_found_um=np.where(np.isnan(unset), memory.found_wrong_um, unset))
+    counted_um = np.fmin(unset, memory.found_wrong_um - unsure_um)
+    tools = {n: replace(t, found_wrong_um=t.found(memory.command_um) - unsure_um) for n, t in memory.tools.items()}
+    return replace(memory, tools=MappingProxyType(tools), counted_found_um=counted_um)
 
 
 def carried_over(memory: OutputMemory, tool_number: int, tool: ToolBaseline) -> ToolBaseline:

@@ -131,3 +131,23 @@ def test_what_was_kept_before_there_was_such_a_doubt_is_in_none():
     kept = {number: replace(tool, found_wrong_um=None) for number, tool in machine.memory.tools.items()}
     machine.memory = replace(machine.memory, tools=kept, counted_found_um=None)
     assert machine.step(2).memory.state is OutputState.ACTIVE
+
+
+def test_another_model_that_counts_on_from_an_estimate_which_is_not_trusted_holds_until_the_work_is_positioned():
+    """It had begun with a reference that was refused: what both made of a wrong sensor would stay as their difference."""
+    machine = tool_set(Machine().following())
+    wrong_by(machine.set(confidence=0.0), 4.0)
+    machine.set(model_id="m2", thermal_error_um=machine.truth_um + [0.0, 1.0]).step(2)
+    stood = machine.applied[1]
+    machine.set(thermal_error_um=machine.truth_um, confidence=1.0).step(60)
+    assert machine.memory.state is OutputState.HOLD and machine.applied[1] == stood
+    assert machine.set(tool_number=2).step(60).memory.state is OutputState.HOLD, "every tool counts from that"
+    assert machine.set(**NOTHING).step(60).memory.state is OutputState.ACTIVE
+    assert machine.applied[1] == pytest.approx(stood, abs=0.02)
+
+
+@pytest.mark.parametrize("fading_um", [0.0, 0.5])
+def test_a_model_that_goes_on_from_one_that_is_trusted_is_followed(fading_um):
+    machine = tool_set(Machine().following()).set(fading_um=fading_um).step(2)
+    machine.set(model_id="m2", thermal_error_um=np.array([1.0, 2.0])).step(60)
+    assert machine.memory.state is OutputState.ACTIVE and machine.applied[1] == pytest.approx(20.0, abs=0.02)
