@@ -134,7 +134,7 @@ def test_what_was_kept_before_there_was_such_a_doubt_is_in_none():
 
 
 def test_another_model_that_counts_on_from_an_estimate_which_is_not_trusted_holds_until_the_work_is_positioned():
-    """It had begun with a reference that was refused: what both made of a wrong sensor would stay as their difference."""
+    """A refused reference had let it begin: what both made of a wrong sensor would stay as their difference."""
     machine = tool_set(Machine().following())
     wrong_by(machine.set(confidence=0.0), 4.0)
     machine.set(model_id="m2", thermal_error_um=machine.truth_um + [0.0, 1.0]).step(2)
