@@ -266,7 +266,15 @@ def _checked(configuration: Configuration, content: bytes, source: str) -> tuple
         f"sensors and channels are this machine's ({len(model.sensor_ids)} sensors)",
         *_sensors_by_name(configuration, model),
         f"prediction bands are known and narrow enough: {', '.join(bands)}",
+        *_watched(model),
     ]
+
+
+def _watched(model: ThermalModel) -> list[str]:
+    """Return what a model without a watch of its sensors leaves to the person who releases it."""
+    if getattr(model, "watch", None) is not None:
+        return []
+    return ["it has no watch of its sensors: one that drifts slowly, or two that were exchanged, count without a word"]
 
 
 def _sensors_by_name(configuration: Configuration, model: ThermalModel) -> list[str]:

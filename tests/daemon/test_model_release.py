@@ -26,7 +26,9 @@ from daemon.model_release.releasing import (
 )
 from daemon.model_release.repository import ReleaseError
 from daemon.model_release.retraining import propose
+from models.thermal.features import Layout
 from models.thermal.linear import LinearModel
+from models.thermal.sensor_watch import WATCH_LAGS_MIN, SensorWatch
 
 STRANGER = Account(user_id=OTHER)
 
@@ -217,6 +219,23 @@ def test_a_release_says_what_the_recordings_call_each_sensor_where_that_is_not_i
     record = release(configured(folder), proposal(folder, replace(model("ridge-2"), sensor_names=names)), person="anna")
     (said,) = [check for check in record.checks if "the person who releases it answers for that" in check]
     assert f"sensor {model().sensor_ids[0]} (" in said and ") as 'Öl Rücklauf [°C]', " in said
+
+
+@pytest.mark.parametrize("watched", [False, True])
+def test_a_release_says_when_the_model_notices_no_wrong_sensor(folder, watched):
+    of = model("ridge-1")
+    if watched:
+        few = len(of.sensor_ids)
+        layout = Layout(sensors=few, lags_min=WATCH_LAGS_MIN, speed_lags_min=())
+        limits = {"threshold_k": np.ones(few), "slew_k_per_min": np.ones(few), "flat_min": np.ones(few)}
+        columns = {"centre": np.zeros(layout.columns), "gain": np.ones(layout.columns)}
+        watch = SensorWatch(
+            layout=layout, precision=np.eye(layout.columns), speed_scale_rpm=1000.0, **limits, **columns
+        )
+        of = replace(of, watch=watch)
+    record = release(configured(folder), proposal(folder, of), person="anna")
+    said = [check for check in record.checks if "has no watch of its sensors" in check]
+    assert bool(said) is not watched
 
 
 def test_going_back_needs_somewhere_to_go(folder):
