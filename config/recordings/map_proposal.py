@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from itertools import pairwise
+from itertools import groupby, pairwise
 from statistics import median
 from typing import Any
 
@@ -85,6 +85,7 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
     notes: list[str] = []
     unit_row = bool(rows) and not any(_number(text) is not None for text in rows[0]) and len(rows) > 1
     complete = [row[: len(header)] for row in rows[int(unit_row) :] if fits(row, len(header))]
+    complete = [row for row, _ in groupby(complete)]
     columns = {name: [row[i] for row in complete] for i, name in enumerate(header) if name}
     described = _described(header, rows[0] if unit_row else ())
     numbers = [name for name, texts in columns.items() if _numbers(texts)]
@@ -154,16 +155,18 @@ def _time_keys(
     dates = [name for name, text in words.items() if _DATE.search(text) and name not in times]
     for name in (*times, *dates):
         if form := _time_form(columns[name]):
-            zone = "in UTC unless the map has a time_zone such as Europe/Zurich"
-            if "%d" in str(form.get("time_format", "")) and form["time_format"].startswith(("%d/", "%m/")):
-                notes.append(f"{name!r}: is the day or the month first? And it is taken to be {zone}")
-            elif "time_format" in form or form.get("time_unit") == "iso":
-                notes.append(f"{name!r} is taken to be {zone}")
+            found = {"time": name, **form}
             if form.get("time_format") in _OF_DAY and (date := next(iter(dates), None)) is not None and date != name:
                 joined = [f"{day} {text}" for day, text in zip(columns[date], columns[name], strict=True)]
                 if whole := _time_form(joined):
-                    return {"time": name, "date": date, **whole}
-            return {"time": name, **form}
+                    found = {"time": name, "date": date, **whole}
+            zone = "in UTC unless the map has a time_zone such as Europe/Zurich"
+            if found.get("time_format", "").startswith(("%d/", "%m/")):
+                of_day = found.get("date", name)
+                notes.append(f"{of_day!r}: is the day or the month first? And it is taken to be {zone}")
+            elif "time_format" in found or found.get("time_unit") == "iso":
+                notes.append(f"{name!r} is taken to be {zone}")
+            return found
     for name in times:
         if _MILLISECONDS.search(described[name]):
             notes.append(f"{name!r} seems to be in milliseconds, which a map cannot say: divide the column by 1000")
@@ -177,7 +180,10 @@ def _time_keys(
             return {"time": name, "time_unit": _unit(described[name], name, step, notes)}
     for name in (*times, *dates):
         if _time_form([*dict.fromkeys(columns[name])]) is not None:
-            notes.append(f"{name!r} says the same time in rows one after the other: export it with seconds")
+            notes.append(
+                f"{name!r} says the same time in rows one after the other: take one of two such rows out, or export "
+                "it with seconds where it has none"
+            )
     return {}
 
 

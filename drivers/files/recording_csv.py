@@ -314,6 +314,7 @@ def _rows(place: _Place, lines: Iterator[str], form: _Form) -> tuple[FloatArray,
     times: list[float] = []
     table: list[FloatArray] = []
     reader = csv.reader(lines, delimiter=form.delimiter)
+    before: list[str] = []
     while True:
         try:
             fields = next(reader, None)
@@ -321,8 +322,9 @@ def _rows(place: _Place, lines: Iterator[str], form: _Form) -> tuple[FloatArray,
             raise place.refuse(f"is not CSV ({error})") from error
         if fields is None:
             break
-        if not any(field.strip() for field in fields):
-            continue
+        if not any(field.strip() for field in fields) or fields == before:
+            continue  # the same row twice says no more than once
+        before = fields
         if not fits(fields, len(header)):
             raise place.refuse(
                 f"has {len(fields)} fields where the header has {len(header)}; is the row cut off or the "

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,12 @@ from searched_once import searched_once
 from thermal_runs import WEIGHTS, run
 
 from daemon.cli import main
+from drivers.files.recording_csv import read_recording
 from models.thermal.family import model_from_json
+from models.thermal.linear import LinearModel
+from models.thermal.training.choice import ChosenProblem
+from models.thermal.training.prepared import prepare
+from models.thermal.training.recipes import Recipe
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -125,6 +131,29 @@ def test_a_family_that_two_runs_cannot_support_is_not_taken_and_that_is_said(tmp
     asked = "chosen: lags; gaussian was asked for by name, but the model holds no Gaussian process: fewer than three"
     assert asked in found["said"]
     assert "asked for by name" not in trained(tmp_path, *paths, model="lags")["said"]
+
+
+def test_a_family_on_temperatures_that_is_asked_for_is_fitted_alone_on_two_runs(tmp_path: Path) -> None:
+    """The default averages a ridge where two runs do not tell; who asks for increments gets least squares of them."""
+    paths = [run(tmp_path, number) for number in (2, 3)]
+    found = trained(tmp_path, *paths, model="increments")
+    assert found["chosen"] is None and "half" not in found["said"]
+    made = model_from_json((tmp_path / "model.json").read_bytes(), "model.json")
+    assert isinstance(made, LinearModel)
+    tables = [np.loadtxt(path, delimiter=",", skiprows=1) for path in paths]
+    steps = np.vstack([np.diff(table, axis=0) for table in tables])
+    same_speed = steps[:, 1] == 0.0
+    expected = np.linalg.lstsq(steps[same_speed, 2:5], steps[same_speed, 5:], rcond=None)[0]
+    np.testing.assert_allclose(made.solutions[0].weights, expected, rtol=1e-6)
+
+
+def test_half_a_ridge_says_that_it_stands_for_a_family_that_no_mean_can_hold(tmp_path: Path) -> None:
+    families = Recipe(name="two", kind="two", prepare=partial(ChosenProblem, ("pls", "lags")), lags=True)
+    problem = prepare([read_recording(run(tmp_path, number)) for number in (2, 3)], 60.0, families).problem
+    assert isinstance(problem, ChosenProblem) and problem.choice.family == "half ridge, half lags"
+    assert problem.choice.why.endswith(
+        "half a ridge on temperatures, as no mean can hold pls: --model pls is that alone"
+    )
 
 
 def warm_up(folder: Path, number: int) -> Path:

@@ -259,11 +259,27 @@ def test_a_map_of_usual_names_can_be_had_too_to_take_a_column_out_of_it(tmp_path
     ],
 )
 def test_a_time_that_a_map_cannot_say_is_told(tmp_path: Path, time: str, texts: tuple[str, ...], sentence: str) -> None:
-    rows = "".join(f"{text};20,5;1,5\n" for text in texts)
+    rows = "".join(f"{text};20,{number};1,5\n" for number, text in enumerate(texts))
     (tmp_path / "day.csv").write_text(f"{time};Temp 1;Weg Z [um]\n" + rows, encoding="utf-8")
     result = thermal("train", tmp_path / "day.csv", "-o", tmp_path / "m.json")
     assert (result.exit_code, sentence in result.stdout) == (2, True), result.output
     assert "none seems to be its time" in result.stderr
+
+
+def test_a_row_that_stands_twice_counts_once_and_a_day_and_a_month_that_may_be_each_other_are_told(
+    tmp_path: Path,
+) -> None:
+    """One such row took the time for none, and of a date in a column of its own nothing was said."""
+    minutes = [(7 + minute // 60, minute % 60) for minute in range(120)]
+    lines = [f"06/01/2025;{hour:02}:{minute:02}:30 AM;{minute % 13},5;{minute % 7},5" for hour, minute in minutes]
+    lines.insert(30, lines[30])
+    text = "Date;Time;Temp 1;Weg Z [um]\n" + "\n".join(lines) + "\n"
+    (tmp_path / "day.csv").write_text(text, encoding="utf-8")
+    arguments = ("train", tmp_path / "day.csv", "--model", "ridge", "--map-out", tmp_path / "map.yaml")
+    result = thermal(*arguments, "-o", tmp_path / "m.json")
+    assert result.exit_code == 0, result.output
+    assert "'Date': is the day or the month first?" in result.stderr
+    assert read_recording(tmp_path / "day.csv", load_recording_map(tmp_path / "map.yaml")).rows == len(lines) - 1
 
 
 def test_columns_that_a_proposed_map_leaves_out_are_named_with_what_to_do(tmp_path: Path) -> None:

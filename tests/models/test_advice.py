@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.recordings.dataset import Recording
-from models.thermal.training.advice import advice, worse_channels
+from models.thermal.training.advice import advice, indistinct, worse_channels
 from models.thermal.training.evaluation import ResidualMetrics
 from models.thermal.training.inputs import Inputs, build_inputs
 
@@ -77,3 +77,10 @@ def test_a_channel_that_never_moves_is_named_and_one_with_gaps_is_not() -> None:
     whole = inputs(5, 180)
     gaps = np.where(np.arange(whole.rows)[:, None] % 7 == 0, np.nan, whole.measured_um)
     assert said(replace(whole, measured_um=gaps), 5) == ()
+
+
+def test_runs_that_would_tell_families_apart_are_counted_in_all_where_some_are_asked_for_already() -> None:
+    """ "record 2 more runs", and in the next line "record 5 more runs"."""
+    same = {"ridge": 0.05, "lags": 0.051}
+    assert "record 5 more runs in all, each at speeds" in indistinct("ridge", same, 3)[0]
+    assert "record 2 more runs, each at speeds" in indistinct("ridge", same, 6)[0]

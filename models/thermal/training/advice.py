@@ -109,9 +109,12 @@ def indistinct(chosen: str, relative_rmse: Mapping[str, float], independent: int
     same = [name for name, left in relative_rmse.items() if name != chosen and abs(left - own) <= SAME]
     if not same or independent >= TELLS_APART:
         return ()
+    more = more_runs(TELLS_APART - independent) + (
+        " in all" if independent < ENOUGH else ""
+    )  # as `advice` asks for some
     return (
         f"these recordings cannot tell {', '.join(map(repr, [chosen, *same]))} apart, which leave the same of the "
         f"left-out error within {SAME:.1%}; {chosen!r} was taken. To tell them apart record "
-        f"{more_runs(TELLS_APART - independent)}{', each' * (TELLS_APART - independent > 1)} at speeds and with "
+        f"{more}{', each' * (TELLS_APART - independent > 1)} at speeds and with "
         "pauses that no run has had yet",
     )

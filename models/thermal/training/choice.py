@@ -262,9 +262,11 @@ class ChosenProblem:
             return other, f"{said}: {other.family} leaves clearly less of both"
         if (of_plain < BETTER_IN_BOTH * of_other).all():
             return plain, f"{said}: {plain.family} leaves clearly less of both"
+        alone = f", as no mean can hold {plain.family}: --model {plain.family} is that alone"
         return (
             self._half_ridge(other, other.errors),
-            f"{said}: two runs do not tell which is better, so it is half a ridge on temperatures",
+            f"{said}: two runs do not tell which is better, so it is half a ridge on temperatures"
+            f"{alone if plain.family != 'ridge' else ''}",
         )
 
     def _half_ridge(self, other: _Tried, errors: LeftOutErrors) -> _Tried:
