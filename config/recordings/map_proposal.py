@@ -155,18 +155,18 @@ def _time_keys(
     dates = [name for name, text in words.items() if _DATE.search(text) and name not in times]
     for name in (*times, *dates):
         if form := _time_form(columns[name]):
-            found = {"time": name, **form}
+            keys = {"time": name, **form}
             if form.get("time_format") in _OF_DAY and (date := next(iter(dates), None)) is not None and date != name:
                 joined = [f"{day} {text}" for day, text in zip(columns[date], columns[name], strict=True)]
                 if whole := _time_form(joined):
-                    found = {"time": name, "date": date, **whole}
+                    keys = {"time": name, "date": date, **whole}
             zone = "in UTC unless the map has a time_zone such as Europe/Zurich"
-            if found.get("time_format", "").startswith(("%d/", "%m/")):
-                of_day = found.get("date", name)
+            if keys.get("time_format", "").startswith(("%d/", "%m/")):
+                of_day = keys.get("date", name)
                 notes.append(f"{of_day!r}: is the day or the month first? And it is taken to be {zone}")
-            elif "time_format" in found or found.get("time_unit") == "iso":
+            elif "time_format" in keys or keys.get("time_unit") == "iso":
                 notes.append(f"{name!r} is taken to be {zone}")
-            return found
+            return keys
     for name in times:
         if _MILLISECONDS.search(described[name]):
             notes.append(f"{name!r} seems to be in milliseconds, which a map cannot say: divide the column by 1000")

@@ -173,6 +173,16 @@ def test_a_channel_that_never_moves_is_named(tmp_path: Path) -> None:
     assert "c1" not in advice(found)
 
 
+def test_blocks_of_one_run_are_no_runs_that_tell_families_apart(tmp_path: Path) -> None:
+    """It said to record five more runs, and in the next line three more."""
+    path = run(tmp_path, 1)
+    text = path.read_text(encoding="utf-8").splitlines()
+    path.write_text("".join(",".join(line.split(",")[:1] + line.split(",")[2:]) + "\n" for line in text), "utf-8")
+    found = trained(tmp_path, path, model="default")
+    assert "record 5 more runs of about 4 h" in advice(found)
+    assert "To tell them apart record 8 more runs in all, each at speeds" in advice(found)
+
+
 def test_families_that_cannot_be_told_apart_are_named_with_what_would_tell_them(tmp_path: Path) -> None:
     found = trained(tmp_path, *[run(tmp_path, number) for number in range(1, 6)], model="default")
     assert "these recordings cannot tell '" in advice(found) and "apart, which leave the same" in advice(found)

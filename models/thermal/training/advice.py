@@ -30,7 +30,7 @@ def advice(inputs: Inputs, rows: BoolArray, independent: int) -> tuple[str, ...]
     `inputs` and `rows`: the recordings and the training rows. `independent`: how many whole runs or cycles can be left
     out in turn.
     """
-    independent = _whole(inputs, rows, independent)
+    independent = whole_runs(inputs, rows, independent)
     spans_min = [float(np.ptp(inputs.time_min[rows & (inputs.run == run)])) for run in np.unique(inputs.run[rows])]
     longest_min = max(spans_min, default=0.0)
     found = []
@@ -66,8 +66,8 @@ def still_channels(inputs: Inputs, rows: BoolArray) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _whole(inputs: Inputs, rows: BoolArray, independent: int) -> int:
-    """Return how many whole runs or cycles there are: stretches of a run without cycles are none."""
+def whole_runs(inputs: Inputs, rows: BoolArray, independent: int) -> int:
+    """Return how many whole runs or cycles there are, see `advice`: stretches of a run without cycles are none."""
     runs = len(np.unique(inputs.run[rows]))
     if runs >= FEWEST_CYCLES or (inputs.speed_rpm is not None and len(cycles(inputs, rows)) >= FEWEST_CYCLES):
         return independent

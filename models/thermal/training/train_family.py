@@ -14,7 +14,7 @@ from models.thermal.family import ThermalModel
 from models.thermal.features import BoolArray, IntArray
 from models.thermal.model import CHANNEL_SCORES, MACHINE, HyperParameters, TrainingData
 from models.thermal.sensor_watch import SensorWatch
-from models.thermal.training.advice import indistinct, worse_channels
+from models.thermal.training.advice import indistinct, whole_runs, worse_channels
 from models.thermal.training.choice import Choice, ChosenProblem
 from models.thermal.training.families import Fit, fold_numbers
 from models.thermal.training.inputs import Inputs, build_inputs, temperatures_alone, unusable_sensors, with_sensors
@@ -188,7 +188,7 @@ def _advice(recipe: Recipe, prepared: Prepared, trust: Trust) -> tuple[str, ...]
     found = prepared.reversed_runs + recipe.advice(inputs, rows, independent)
     if isinstance(problem, ChosenProblem):
         scores = {one.family: one.relative_rmse for one in problem.choice.candidates if one.refused is None}
-        found += indistinct(problem.choice.family, scores, independent)
+        found += indistinct(problem.choice.family, scores, whole_runs(inputs, rows, independent))
     if not np.isfinite(trust.held_out_relative_rmse):
         return found
     against = contradictions(inputs, rows, fold, problem)
