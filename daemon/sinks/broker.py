@@ -1,6 +1,7 @@
 """A connection to a broker that speaks MQTT 5: what was published counts when the broker has acknowledged it."""
 
 import contextlib
+import functools
 import itertools
 import logging
 import ssl
@@ -30,6 +31,8 @@ from daemon.sinks.broker_refusals import (
 from daemon.sinks.contract import SinkError
 
 PING_PERIOD_S = 20
+STORE_PROPERTY = "store"
+"""Under this name a row says of which history store it is."""
 LARGEST_MESSAGE = 1 << 20
 """The broker is told to leave out what is larger [bytes]: nothing but commands and births comes here."""
 AT_ONCE = 500
@@ -52,6 +55,8 @@ class Message:
     payload: bytes
     qos: int = 1
     retain: bool = False
+    store: str = ""
+    """The history store of which it is a row, which goes along as a property; '' for none."""
 
 
 class Broker:
@@ -110,7 +115,10 @@ class Broker:
             self._acknowledged = self._nobody = 0
             self._refused = None
         topics = {
-            self._client.publish(each.topic, each.payload, each.qos, each.retain).mid: each.topic for each in messages
+            self._client.publish(
+                each.topic, each.payload, each.qos, each.retain, _properties(each.store)
+            ).mid: each.topic
+            for each in messages
         }
         with self._changed:
             while self._acknowledged < len(messages) and not self._lost:
@@ -221,6 +229,15 @@ class Broker:
         with self._changed:
             yield
             self._changed.notify_all()
+
+
+@functools.lru_cache(maxsize=16)
+def _properties(store: str) -> Properties | None:
+    if not store:
+        return None
+    properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+    properties.UserProperty = (STORE_PROPERTY, store)
+    return properties
 
 
 def set_credentials(client: paho.Client, config: BrokerConfig, where: str) -> None:

@@ -4,6 +4,7 @@ import socket
 import ssl
 
 from config.schema.sinks import BrokerConfig
+from models.json_values import printable
 
 REFUSED = {
     130: "if that comes each time, a message is larger than the broker takes (mosquitto: message_size_limit): raise it",
@@ -94,6 +95,12 @@ def name_in_use(machine: str, topic: str) -> str:
         f"another store sends as {machine}, which it says at {topic}, so the history of this one waits: `machine` must "
         "differ from computer to computer"
     )
+
+
+def two_computers(machines: list[str]) -> str:
+    """Return that rows of two computers stand under one name."""
+    names = printable(", ".join(machines))
+    return f"two computers send as {names}, and their rows are mixed: `machine` must differ from computer to computer"
 
 
 def nobody_subscribes(topics: list[str]) -> str:

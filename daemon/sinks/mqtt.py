@@ -53,6 +53,8 @@ class MqttSink:
         self._told: dict[str, bytes] = {}
         self._told_s = time.monotonic()
         self._unread: set[str] = set()
+        self._store = ""
+        """The history store whose rows are sent."""
 
     def open(self, cursor: Cursor) -> Mapping[str, Position]:
         """Connect; the cursor says how far the broker has come."""
@@ -79,6 +81,7 @@ class MqttSink:
         assert self._opened is not None
         for each in self._opened:
             each.check()
+        self._store = progress.cursor.generation
         self._ahead.settle(progress)
         self._tell(outbox)
         more = False
@@ -101,7 +104,7 @@ class MqttSink:
     def _send(self, batch: Batch) -> bool:
         """Publish a batch; False when nobody has subscribed. Where nobody had, one row goes ahead."""
         topic = f"{self._base}/history/{batch.stream.name}"
-        rows = (Message(topic=topic, payload=each) for each in row_messages(batch, self._machine))
+        rows = (Message(topic=topic, payload=each, store=self._store) for each in row_messages(batch, self._machine))
         reached = topic not in self._unread or self._broker.publish([next(rows)])
         if reached and self._broker.publish(rows):
             self._unread.discard(topic)

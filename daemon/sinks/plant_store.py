@@ -25,13 +25,14 @@ from paho.mqtt.reasoncodes import ReasonCode
 from psycopg import errors
 
 from config.schema.plant_store import PlantStoreConfig, SubscriptionConfig
-from daemon.sinks.broker import set_credentials
-from daemon.sinks.broker_refusals import closed_at_once, lost, no_acknowledgement, reason, refusal
+from daemon.sinks.broker import STORE_PROPERTY, set_credentials
+from daemon.sinks.broker_refusals import closed_at_once, lost, no_acknowledgement, reason, refusal, two_computers
 from daemon.sinks.contract import SinkError
 from daemon.sinks.database import STORE, Database, time_of
 from daemon.sinks.mqtt import topic_level
 from daemon.sinks.outbox import DAY_MS, STREAMS, Stream
 from daemon.sinks.row_messages import JSON_COLUMNS
+from daemon.sinks.twins import Twins
 from models.json_values import printable
 
 log = structlog.get_logger(__name__)
@@ -239,6 +240,7 @@ class PlantStore:
         self._told_s, self._stored = float("-inf"), 0
         self._retry_s = RETRY_FIRST_S
         self._said = ""
+        self._twins = Twins()
 
     def run(self) -> None:
         """Work until stopped."""
@@ -257,6 +259,7 @@ class PlantStore:
         there = self._config.postgresql
         where = f"database {there.host}:{there.port}/{there.database}"
         database, subscription = Database(there, where, STORE), Subscription(self._config.mqtt)
+        self._twins = Twins()  # what was not acknowledged comes again, in its order
         try:
             database.open()
             subscription.open()
@@ -279,7 +282,8 @@ class PlantStore:
             none = (
                 f"no message has come yet: see that machines publish, and that the broker lets `user_name` read {topic}"
             )
-            self._tell(f"stores; {came if self._stored else none}")
+            twins = f"; {two_computers(names)}" if (names := self._twins.names()) else ""
+            self._tell(f"stores; {came if self._stored else none}{twins}")
 
     def _store(self, database: Database, messages: Sequence[paho.MQTTMessage]) -> None:
         """Commit the rows of messages; one that the database does not take is named and left out."""
@@ -297,10 +301,12 @@ class PlantStore:
 
     def _row(self, message: paho.MQTTMessage) -> StoredRow | None:
         try:
-            return row_of(message.topic, bytes(message.payload), self._config.mqtt.topic)
+            row = row_of(message.topic, bytes(message.payload), self._config.mqtt.topic)
         except (ValueError, RecursionError) as error:
             log.warning("store.refused", topic=printable(message.topic)[:LONGEST_PROBLEM], problem=_said(error))
             return None
+        self._twins.saw(row.machine, _store_of(message))
+        return row
 
     def _put_alone(self, database: Database, row: StoredRow) -> None:
         try:
@@ -337,6 +343,11 @@ def store_status(config: PlantStoreConfig) -> dict[str, Any]:
         database.close()
     names = ("machine", "newest_utc_s", "stored_utc_s", "late_s")
     return {"running": running, "machines": [dict(zip(names, row, strict=True)) for row in found]}
+
+
+def _store_of(message: paho.MQTTMessage) -> str:
+    """Return the machine's store of which a row is; '' where an earlier version has sent it."""
+    return str(dict(getattr(message.properties, "UserProperty", ())).get(STORE_PROPERTY, ""))
 
 
 def _said(error: Exception) -> str:

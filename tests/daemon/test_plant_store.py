@@ -1,6 +1,7 @@
 """What the plant's store takes from a broker: rows of the topics they come by, and nothing that is none."""
 
 import hashlib
+import itertools
 import json
 import re
 import subprocess
@@ -8,11 +9,15 @@ import threading
 import time
 from pathlib import Path
 
+import paho.mqtt.client as paho
 import pytest
 import yaml
 from click.testing import CliRunner
 from fleet_kills import plant_broker
 from mosquitto import mosquitto, wait_until
+from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
 from paho.mqtt.publish import single
 from postgresql import PASSWORD, Server, postgresql
 
@@ -23,6 +28,7 @@ from daemon.sinks.database import scripts
 from daemon.sinks.outbox import STREAMS
 from daemon.sinks.plant_store import LARGEST_MESSAGE, TEXTS, PlantStore, row_of
 from daemon.sinks.row_messages import JSON_COLUMNS
+from daemon.sinks.twins import TWINS_S, Twins
 
 EVENT = {
     **{"key": "k", "machine": "mill/7", "stream": "events", "utc_ms": 1_760_000_400_000, "monotonic_ms": 5},
@@ -264,6 +270,48 @@ def test_a_store_that_the_broker_does_not_let_read_says_what_to_look_at(server: 
     with mosquitto(tmp_path, "allow_anonymous true", f"acl_file {tmp_path / 'acl'}") as port:
         PlantStore(section(server, port, tmp_path), stop, tell).run()
     assert "no message has come yet" in told[-1] and "read toolpoint/+/history/+" in told[-1]
+
+
+def test_rows_of_two_computers_under_one_name_are_told(server: Server, tmp_path: Path) -> None:
+    """Where the machines' users may not read, so that the sinks do not notice it themselves."""
+    server.empty()
+    broker, stop, told = plant_broker(tmp_path), threading.Event(), []
+    broker.start()
+    store = threading.Thread(target=PlantStore(section(server, broker.port, tmp_path), stop, told.append).run)
+    store.start()
+
+    def publish(number: int) -> bool:
+        properties = Properties(PacketTypes.PUBLISH)
+        properties.UserProperty = ("store", "ab"[number % 2])
+        client.publish(TOPIC, json.dumps(EVENT | {"monotonic_ms": number}), 1, properties=properties)
+        return any("two computers send as mill/7" in each for each in told)
+
+    client = paho.Client(CallbackAPIVersion.VERSION2, protocol=paho.MQTTv5)
+    client.connect("127.0.0.1", broker.port)
+    client.loop_start()
+    try:
+        numbers = itertools.count()
+        wait_until(lambda: publish(next(numbers)))
+    finally:
+        client.loop_stop()
+        stop.set()
+        store.join()
+        broker.kill()
+
+
+def test_a_store_that_was_replaced_is_no_second_computer() -> None:
+    now_s = [0.0]
+    twins = Twins(lambda: now_s[0])
+    for store in ("a", "a", "", "b", "b", "c"):
+        twins.saw("mill 7", store)
+    assert twins.names() == []
+    now_s[0] = TWINS_S
+    twins.saw("mill 7", "a")
+    assert twins.names() == [], "it was put back"
+    twins.saw("mill 7", "c")
+    assert twins.names() == ["mill 7"]
+    now_s[0] = 2.0 * TWINS_S
+    assert twins.names() == []
 
 
 def test_the_command_refuses_a_file_that_names_no_broker(tmp_path: Path) -> None:

@@ -13,12 +13,14 @@ from pathlib import Path
 import history_records as make
 import jinja2
 import numpy as np
+import paho.mqtt.client as paho
 import pytest
 import yaml
 from certificates import make_certificate
 from filled_store import add, fill, rows_waiting
 from history_records import EPOCH_S, SMALL, StillClock
 from mosquitto import PATIENCE_S, Mosquitto, mosquitto, subscriber, wait_until
+from paho.mqtt.enums import CallbackAPIVersion
 from strict_broker import strict_broker
 
 from config.sample import sample_configuration
@@ -537,6 +539,22 @@ def test_the_rights_that_the_guide_gives_are_enough_to_notice_a_second_computer(
         finally:
             second.close()
             first.close()
+
+
+def test_a_row_tells_of_which_store_it_is(port: int, tmp_path: Path) -> None:
+    store, heard = tmp_path / "h.sqlite", []
+    fill(store, hours=0.1)
+    client = paho.Client(CallbackAPIVersion.VERSION2, protocol=paho.MQTTv5)
+    client.on_message = lambda _client, _data, message: heard.append(dict(message.properties.UserProperty))
+    client.on_subscribe = lambda *_: heard.append("subscribed")
+    client.connect("127.0.0.1", port)
+    client.subscribe(f"{BASE}/history/#", 1)
+    client.loop_start()
+    wait_until(lambda: heard)
+    cursor = send(section(port), store)
+    wait_until(lambda: len(heard) == 1 + cursor.sent_rows)
+    client.loop_stop()
+    assert cursor.sent_rows > 0 and heard[1:] == cursor.sent_rows * [{"store": cursor.generation}]
 
 
 def test_two_computers_of_one_name_that_come_back_together_do_not_both_send(tmp_path: Path) -> None:

@@ -59,7 +59,8 @@ class _Connection(socketserver.BaseRequestHandler):
             if head & 6:
                 self._waiting.append(body[end : end + 2])
                 end += 2
-            self.server.taken.append((body[2 : 2 + int.from_bytes(body[:2], "big")].decode(), body[end + 1 :]))
+            topic = body[2 : 2 + int.from_bytes(body[:2], "big")].decode()
+            self.server.taken.append((topic, body[end + 1 + body[end] :]))  # after the properties
             self.server.most = max(self.server.most, len(self._waiting))
             if len(self._waiting) > self.server.receive_maximum:
                 self.request.sendall(bytes([DISCONNECT << 4, 1, RECEIVE_MAXIMUM_EXCEEDED]))
