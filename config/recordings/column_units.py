@@ -14,19 +14,26 @@ _SPELLINGS = {
     "in": r"in|inch|inches",
     "degC": r"°\s*c|℃|deg\s*_?c|c|celsius|grad c",
     "degF": r"°\s*f|℉|deg\s*_?f|f|fahrenheit",
+    "K": r"k|kelvin",
 }
 _UNITS = {unit: re.compile(spelling) for unit, spelling in _SPELLINGS.items()}
 _AT_THE_END = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$|(?:^|[\s_/,])([^\s_/,]+)\s*$")
-_OF_A_MAP = {"time": ("s", "min", "h", "d"), "displacements": ("um", "mm")}
-"""Units that a map can say, which a name tells beyond doubt: `Z_in` may be inside, `T_F` in front."""
+_OF_A_MAP = {"time": ("s", "min", "h", "d"), "displacements": ("um", "mm"), "temperatures": ("degC", "degF")}
+"""Units that a map can say, and a name may contradict; K is not among them, as rises in K are rises in degC."""
+_CLEAR_UNIT = re.compile(r"[\[(][^\[\]()]*[\])]\s*$|°|℉|℃|deg|fahrenheit|celsius", re.IGNORECASE)
+"""A temperature's name tells its unit so: `T_F` may be in front."""
 TIMES = ("ms", *_OF_A_MAP["time"])
 _OF_A_ROW = {
     "time": TIMES,
     "displacements": ("um", "mm", "nm", "in", "degC", "degF"),
-    "temperatures": ("um", "mm", "degF"),
+    "temperatures": ("um", "mm", "degC", "degF"),
     "axis_positions": ("um", "in"),
 }
-_KEYS = {"time": "time_unit: {unit}", "displacements": "displacement_units: {{{name!r}: {unit}}}"}
+_KEYS = {
+    "time": "time_unit: {unit}",
+    "displacements": "displacement_units: {{{name!r}: {unit}}}",
+    "temperatures": "temperature_units: {{{name!r}: {unit}}}",
+}
 
 
 def unit_of(text: str) -> str | None:
@@ -48,6 +55,8 @@ def contradiction(kind: str, name: str, meant: str, row: str | None = None) -> s
     in the row of units; None: it goes by its name.
     """
     found = unit_in(name) if row is None else unit_of(row)
+    if row is None and kind == "temperatures" and _CLEAR_UNIT.search(name) is None:
+        return None
     if found is None or found == meant or found not in (_OF_A_MAP if row is None else _OF_A_ROW).get(kind, ()):
         return None
     by = "by its name" if row is None else "by the row of units"

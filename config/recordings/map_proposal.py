@@ -26,15 +26,17 @@ _NUMBERED_T = re.compile(r"t[ _]?\d")
 """A temperature: where no column is the time, none of these is."""
 _SPEED = re.compile(r"rpm|1/min|min-1|min\^-1|u/min|r/min|drehzahl|spindle.?speed|speed|回転")
 _DEGC = re.compile(r"°\s*c\b|deg\s*_?c\b|℃|\[c\]|\(c\)|celsius|grad c")
+_DEGF = re.compile(r"°\s*f\b|deg\s*_?f\b|℉|\[f\]|\(f\)|fahrenheit")
+_KELVIN = re.compile(r"\[k\]|\(k\)|\bkelvin\b")
+_ABSOLUTE_K = 200.0
+"""Rises in kelvin are rises in degrees Celsius; where a machine stands, kelvin are more than that."""
 _UM = re.compile(r"[µμ]m|\bum\b|_um$|micron|micromet")
 _MM = re.compile(r"\bmm\b|_mm$")
 _WITH_MM = re.compile(r"[\s_]*[\[(]?\s*\bmm\b\s*[\])]?|_mm$")
 """What the name of a channel loses: the map turns it into micrometres."""
 _MOVES = re.compile(r"変位|displace|verlagerung|deviation|thermal.?error|\bweg\b|probe|^d[xyz]|^e[xyz]|^c\d+\b")
 """Beside millimetres a displacement says so; an axis position is in millimetres, too."""
-_OTHER_UNIT = re.compile(
-    r"\bmm\b|\bnm\b|\bkw\b|\bw\b|\ba\b|\bv\b|%|\bbar\b|\bhz\b|°\s*f\b|\bdegf\b|\bnm\b|\bl/min\b|\bkelvin\b"
-)
+_OTHER_UNIT = re.compile(r"\bmm\b|\bnm\b|\bkw\b|\bw\b|\ba\b|\bv\b|%|\bbar\b|\bhz\b|\bnm\b|\bl/min\b")
 _TEMPERATURE = re.compile(r"温度|temp|thermo|pt ?100+|^tc ?\d+|^rtd|^t[a-z]? ?\d+$|^t ")
 _DISPLACEMENT = re.compile(
     r"変位|displace|verlagerung|deviation|thermal.?error|^weg\b|^[xyzabcuvw] ?\d*$|^d[xyz]\d*$|^e[xyz]\d*$|probe"
@@ -100,6 +102,9 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
     for kind in ("temperatures", "displacements"):
         if found := [name for name, its in kinds.items() if its == kind]:
             keys[kind] = found
+    in_unit = {name: _of_temperature(described[name], columns[name]) for name in keys.get("temperatures", ())}
+    others = {name: unit for name, unit in in_unit.items() if unit is not None}
+    keys |= {"temperature_units": others} if others else {}
     if in_mm := [name for name in keys.get("displacements", ()) if _MM.search(described[name])]:
         keys["displacement_units"] = dict.fromkeys(in_mm, "mm")
         named = {name: _WITH_MM.sub("", name).strip() for name in in_mm}
@@ -122,9 +127,17 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
     )
 
 
+def _of_temperature(said: str, texts: Sequence[str]) -> str | None:
+    """Return the unit of a temperature that is not in degC."""
+    if _DEGF.search(said):
+        return "degF"
+    known = [number for text in texts if (number := _number(text)) is not None]
+    return "K" if _KELVIN.search(said) and known and min(known) > _ABSOLUTE_K else None
+
+
 def _described(header: Sequence[str], units: Sequence[str]) -> dict[str, str]:
     """Return what is said of each column, in lower case: its name and its unit."""
-    joined = [f"{name} {unit}" for name, unit in zip(header, units, strict=False)] if units else header
+    joined = [f"{n} [{unit.strip(' []()')}]" for n, unit in zip(header, units, strict=False)] if units else header
     return {name: text.lower().strip() for name, text in zip(header, joined, strict=False)}
 
 
@@ -133,7 +146,7 @@ def _kind(said: str) -> str | None:
         return "speed"
     if _UM.search(said):
         return "displacements"
-    if _DEGC.search(said):
+    if _DEGC.search(said) or _DEGF.search(said) or _KELVIN.search(said):
         return "temperatures"
     words = re.sub(r"[_\W]+", " ", said).strip()
     if _MM.search(said):

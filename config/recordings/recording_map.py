@@ -6,7 +6,7 @@ from fnmatch import fnmatchcase
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from pydantic import Field, model_validator
@@ -17,6 +17,8 @@ from config.schema.base import KeyProblems, Seconds, Section
 from models.recordings.slopes import SLOPE_SUFFIX
 
 UM_PER_UNIT = {"um": 1.0, "mm": 1000.0}
+TemperatureUnit = Literal["degC", "degF", "K"]
+Unit = TypeVar("Unit", bound=str)
 
 
 class SlopeMap(Section):
@@ -50,6 +52,9 @@ class RecordingMap(Section):
     speed: str | None = Field(None, description="column that holds the spindle speed [1/min], if there is one")
     temperatures: list[str] = Field(
         min_length=1, description="columns that hold temperatures [degC]: names or patterns such as t*"
+    )
+    temperature_units: dict[str, TemperatureUnit] | None = Field(
+        None, description="unit of temperature columns by name or pattern; degrees Celsius where it says nothing"
     )
     displacements: list[str] = Field(
         min_length=1, description="columns that hold displacements [um]: names or patterns such as c*"
@@ -119,6 +124,8 @@ class Columns(Section):
     date: int | None
     speed: int | None
     temperatures: list[int]
+    temperature_units: list[TemperatureUnit]
+    """Of each temperature."""
     axis_positions: list[int]
     displacements: list[int]
     um_per_unit: list[float]
@@ -163,14 +170,16 @@ def resolve_columns(recording_map: RecordingMap, header: Sequence[str]) -> Colum
             )
     _require_units(header, {"temperatures": temperatures, "displacements": displacements})
     channels = _channels(recording_map.displacement_names or {}, header, displacements)
+    units = _units_of("displacement", recording_map.displacement_units or {}, header, displacements, "um")
     found = Columns(
         time=time,
         date=date,
         speed=speed,
         temperatures=temperatures,
+        temperature_units=_units_of("temperature", recording_map.temperature_units or {}, header, temperatures, "degC"),
         axis_positions=positions,
         displacements=displacements,
-        um_per_unit=_um_per_unit(recording_map.displacement_units or {}, header, displacements),
+        um_per_unit=[UM_PER_UNIT[unit] for unit in units],
         channels=channels,
         slopes=_slopes(recording_map.slopes or {}, header, channels, {*temperatures, *displacements}),
     )
@@ -191,12 +200,16 @@ def require_read_units(
         ("displacements", column, "um" if scale == 1.0 else "mm")
         for column, scale in zip(columns.displacements, columns.um_per_unit, strict=True)
     ]
+    read += [
+        ("temperatures", column, unit)
+        for column, unit in zip(columns.temperatures, columns.temperature_units, strict=True)
+    ]
     if row is None:
-        said = {i for pattern in recording_map.displacement_units or () for i in _matches(pattern, header)}
+        patterns = (*(recording_map.displacement_units or ()), *(recording_map.temperature_units or ()))
+        said = {i for pattern in patterns for i in _matches(pattern, header)}
         said |= {columns.time} if "time_unit" in recording_map.model_fields_set else set()
         read = [one for one in read if one[1] not in said]
     else:
-        read += [("temperatures", column, "degC") for column in columns.temperatures]
         read += [("axis_positions", column, "mm") for column in columns.axis_positions]
     for kind, column, meant in read:
         text = None if row is None else row[column] if column < len(row) else ""
@@ -229,14 +242,16 @@ def _slopes(
     return found
 
 
-def _um_per_unit(units: Mapping[str, str], header: Sequence[str], displacements: Sequence[int]) -> list[float]:
-    found = dict.fromkeys(displacements, 1.0)
+def _units_of(
+    what: str, units: Mapping[str, Unit], header: Sequence[str], columns: Sequence[int], usual: Unit
+) -> list[Unit]:
+    found = dict.fromkeys(columns, usual)
     for pattern, unit in units.items():
-        matches = set(_matches(pattern, header)) & set(displacements)
+        matches = set(_matches(pattern, header)) & set(columns)
         if not matches:
-            names = _listed(header[i] for i in displacements)
-            raise ColumnError("displacement_units", f"no displacement column matches {pattern!r}; there are {names}")
-        found |= dict.fromkeys(matches, UM_PER_UNIT[unit])
+            names = _listed(header[i] for i in columns)
+            raise ColumnError(f"{what}_units", f"no {what} column matches {pattern!r}; there are {names}")
+        found |= dict.fromkeys(matches, unit)
     return list(found.values())
 
 
@@ -279,7 +294,7 @@ def matching_names(recording_map: RecordingMap, header: Sequence[str]) -> dict[s
         recording_map.model_copy(
             update={
                 **present,
-                **of_displacements(recording_map, header),
+                **units_and_names(recording_map, header),
                 "speed": next(iter(present["speed"]), None),
                 "axis_positions": present["axis_positions"] or None,
             }
@@ -293,12 +308,14 @@ def matching_names(recording_map: RecordingMap, header: Sequence[str]) -> dict[s
     return {"speed": present["speed"], **found}
 
 
-def of_displacements(recording_map: RecordingMap, header: Sequence[str]) -> dict[str, Any]:
-    """Return units, names and slopes of displacement columns as far as a file with this header has the columns."""
+def units_and_names(recording_map: RecordingMap, header: Sequence[str]) -> dict[str, Any]:
+    """Return units, names and slopes of columns as far as a file with this header has the columns."""
     units, names = recording_map.displacement_units or {}, recording_map.displacement_names or {}
+    of_temperatures = recording_map.temperature_units or {}
     called = {names.get(column, column) for column in header}
     slopes = recording_map.slopes or {}
     return {
+        "temperature_units": {p: unit for p, unit in of_temperatures.items() if _matches(p, header)} or None,
         "displacement_units": {pattern: unit for pattern, unit in units.items() if _matches(pattern, header)} or None,
         "displacement_names": {column: name for column, name in names.items() if column in header} or None,
         "slopes": {channel: one for channel, one in slopes.items() if channel in called} or None,

@@ -30,8 +30,10 @@ from config.recordings.recording_map import (
 from drivers.contract import FatalDriverError
 from drivers.files.recording_time import SECONDS, TimeReader, time_reader
 from models.recordings.dataset import DatasetError, Recording
+from models.recordings.plausibility import are_rises
 from models.recordings.slopes import SLOPE_SUFFIX, offset_and_slope
 from models.records import FloatArray
+from models.units import degc_of_recording
 
 __all__ = [
     "SECONDS",
@@ -140,13 +142,22 @@ def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Rec
             speed_rpm=None if columns.speed is None else table[:, 0].copy(),
             temperature_names=tuple(header[i] for i in inputs),
             axis_positions=tuple(header[i] for i in columns.axis_positions),
-            temperatures_degc=table[:, first_temperature:first_displacement].copy(),
+            temperatures_degc=_in_degc(table[:, first_temperature:first_displacement], columns),
             displacement_names=tuple(columns.channels),
             displacements_um=table[:, first_displacement:first_position] * columns.um_per_unit,
         )
         return _with_slopes(recording, columns, recording_map, table[:, first_position:])
     except DatasetError as error:
         raise RecordingFileError(f"{path}: {error}") from error
+
+
+def _in_degc(values: FloatArray, columns: Columns) -> FloatArray:
+    """Return temperatures in degC, and the axis positions after them as they are."""
+    found = values.copy()
+    rises = are_rises(values[:, : len(columns.temperature_units)])
+    for place, unit in enumerate(columns.temperature_units):
+        found[:, place] = degc_of_recording(values[:, place], unit, rises=rises)
+    return found
 
 
 def _with_slopes(

@@ -93,6 +93,15 @@ def test_a_time_whose_name_tells_no_unit_says_what_is_assumed_and_one_of_any_nam
     }
 
 
+def test_temperatures_in_fahrenheit_and_kelvin_say_so_and_rises_in_kelvin_are_rises() -> None:
+    header = ["time_s", "Oil [°F]", "Air (K)", "Rise [K]", "dz [um]"]
+    found = propose_map(header, [["0", "68", "293.1", "0.0", "0"], ["60", "70", "293.4", "0.4", "1"]])
+    assert found.keys["temperatures"] == header[1:4]
+    assert found.keys["temperature_units"] == {"Oil [°F]": "degF", "Air (K)": "K"}
+    counted = propose_map(["Time", "T1", "c1"], [["min", "F", "um"], ["0", "68", "0.1"], ["1", "70", "0.2"]])
+    assert counted.keys["temperature_units"] == {"T1": "degF"}
+
+
 def test_a_numbered_temperature_that_rises_is_not_taken_for_the_time() -> None:
     found = propose_map(["no", "T1", "T2", "X [um]"], rows("1", "2", "3", fields=4))
     rising = propose_map(["T1", "T2", "X [um]"], rows("20", "21", "22", fields=3))

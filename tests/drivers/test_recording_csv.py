@@ -308,7 +308,8 @@ ROW_OF_UNITS = "Zeit;Öl;Weg\nmin;°C;mm\n0;20,5;0,001\n1;20,6;0,002\n"
         ("sec;°C;µm", {"displacement_units": {"Weg": "mm"}}, "say displacement_units: {'Weg': um} in the map"),
         ("h;°C;um", {"time_unit": "min"}, "say time_unit: h in the map"),
         ("ms;°C;um", {}, "column 'Zeit' is in ms, by the row of units, and is read in s: convert it to s, or take"),
-        ("s;°F;um", {}, "temperatures: column 'Öl' is in degF, by the row of units, and is read in degC: convert it"),
+        ("s;°F;um", {}, "temperatures: column 'Öl' is in degF, by the row of units, and is read in degC: say temper"),
+        ("s;°C;um", {"temperature_units": {"Öl": "degF"}}, "say temperature_units: {'Öl': degC} in the map"),
         ("s;°C;inch", {}, "column 'Weg' is in in, by the row of units, and is read in um: convert it to um"),
         ("s;um;°C", {}, "column 'Weg' is in degC"),
     ],
@@ -346,6 +347,40 @@ def test_a_unit_in_a_name_counts_where_the_map_does_not_say_the_unit(tmp_path: P
     assert read_recording(written(tmp_path, content), said).displacements_um[1, 0] == 0.002
     usual = refusal(tmp_path, "t,t1,c1_mm\n0,20,0.001\n", None)
     assert "column 'c1_mm' is in mm, by its name, and is read in um" in usual
+
+
+@pytest.mark.parametrize(
+    ("unit", "values", "degc"),
+    [
+        ("degF", ("68", "77"), (20.0, 25.0)),
+        ("K", ("293.15", "294.15"), (20.0, 21.0)),
+        ("degC", ("20", "21"), (20.0, 21.0)),
+        ("degF", ("0", "9"), (0.0, 5.0)),  # rises since the start
+        ("K", ("0", "5"), (0.0, 5.0)),
+    ],
+)
+def test_temperatures_in_other_units_are_read_in_degrees_celsius(
+    tmp_path: Path, unit: str, values: tuple[str, str], degc: tuple[float, float]
+) -> None:
+    """An axis position beside them stays as it is."""
+    content = f"t,T1,Z,c1\n0,{values[0]},100,0\n60,{values[1]},200,1\n"
+    keys = {"time": "t", "temperatures": ["T1"], "axis_positions": ["Z"], "displacements": ["c1"]}
+    given = RecordingMap.model_validate(keys | {"temperature_units": {"T*": unit}})
+    found = read_recording(written(tmp_path, content), given)
+    np.testing.assert_allclose(found.temperatures_degc, np.column_stack([degc, (100.0, 200.0)]), atol=1e-9)
+
+
+def test_a_unit_in_the_name_of_a_temperature_counts_where_it_is_beyond_doubt(tmp_path: Path) -> None:
+    keys = {"time": "t", "temperatures": ["Oil*"], "displacements": ["c1"]}
+    refused = refusal(tmp_path, "t,Oil [°F],c1\n0,68,0\n60,70,1\n", RecordingMap.model_validate(keys))
+    assert (
+        "column 'Oil [°F]' is in degF, by its name, and is read in degC: say temperature_units: {'Oil [°F]': degF}"
+        in (refused)
+    )
+    front = read_recording(written(tmp_path, "t,Oil_F,c1\n0,20,0\n60,21,1\n"), RecordingMap.model_validate(keys))
+    assert front.temperatures_degc[1, 0] == 21.0
+    said = RecordingMap.model_validate(keys | {"temperature_units": {"Water": "degF"}})
+    assert "temperature_units: no temperature column matches 'Water'" in refusal(tmp_path, "t,Oil,c1\n0,1,0\n", said)
 
 
 def test_empty_fields_beyond_the_header_change_nothing_and_others_are_refused(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from config.recordings.map_proposal import JAPANESE, MapProposal, propose_map
-from config.recordings.recording_map import ColumnError, RecordingMap, matching_names, of_displacements, usual_map
+from config.recordings.recording_map import ColumnError, RecordingMap, matching_names, units_and_names, usual_map
 from drivers.files.recording_csv import EncodingError, read_beginning, read_recording
 from models.recordings.dataset import DatasetError, Recording
 from models.thermal.training.inputs import with_sensors
@@ -79,7 +79,7 @@ def common_map(paths: Sequence[Path], recording_map: RecordingMap | None) -> Rec
                 f"{kind}: there is no column that all {len(paths)} recordings have; {_differing(paths, found)}"
             )
         keys[kind] = names
-    keys |= of_displacements(one, keys["displacements"])
+    keys |= units_and_names(one, [*keys["temperatures"], *keys["displacements"]])
     if one.speed is not None and not all(columns["speed"] for columns in found):
         del keys["speed"]
     return RecordingMap.model_validate(keys)
