@@ -77,6 +77,7 @@ class GuardConfig(Section):
         description="read the external offset (#5201..) and the unit (#4006) with every poll, and end the reference "
         "when another than the guard has changed it; by default with the drivers focas and haas. Over OPC UA the "
         "server must have these system variables and `memory` as it has the macro variables",
+        examples=[True],
     )
     request_timeout_s: Seconds = Field(10.0, description="how long the request program waits for an answer [s]")
     on_timeout: Literal["continue", "message", "stop"] = Field(
