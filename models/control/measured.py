@@ -101,9 +101,10 @@ def with_probed(memory: OutputMemory, inputs: OutputInputs, probed: FloatArray) 
 def with_model(memory: OutputMemory) -> OutputMemory:
     """Return the memory after a change of model, which goes on from the latest estimate of the one before.
 
-    Where that was not trusted, everything that is counted from is in doubt.
+    Where that was not trusted, or there was none since a restart, everything that is counted from is in doubt.
     """
-    before, unsure_um = memory.counted_found_um, memory.unsure_um if memory.unsure_um > UNSURE_UM else 0.0
+    before, unsure_um = memory.counted_found_um, UNKNOWN_UM if memory.error_um is None else memory.unsure_um
+    unsure_um = unsure_um if unsure_um > UNSURE_UM else 0.0
     unset = np.full_like(memory.command_um, np.nan) if before is None else before
     counted_um = np.fmin(unset, memory.found_wrong_um - unsure_um)
     tools = {n: replace(t, found_wrong_um=t.found(memory.command_um) - unsure_um) for n, t in memory.tools.items()}
