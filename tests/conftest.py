@@ -34,6 +34,7 @@ LONGEST_FIRST = (
     f"{REPLAY}[lags]",
     "tests/system/test_stability_referee.py",
     f"{REPLAY}[increments]",
+    "tests/zoo/test_zoo.py",
     "tests/models/test_chatter.py",
     f"{REPLAY}[increments-b0]",
     "tests/daemon/test_cli_thermal_evaluate.py",
