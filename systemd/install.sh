@@ -93,5 +93,12 @@ if [ "$program_only" = no ]; then
         udevadm control --reload && udevadm trigger || echo "install.sh: udev does not answer; its rules count after a restart" >&2
         systemctl daemon-reload || echo "install.sh: systemd does not answer; run systemctl daemon-reload" >&2
     fi
+    command="${root%/}/usr/local/bin/toolpoint"
+    if [ -e "$command" ] && [ ! -L "$command" ]; then
+        echo "install.sh: $command is there already and left alone; the command is $prefix/current/bin/toolpoint" >&2
+    else
+        mkdir -p "$(dirname "$command")"
+        ln -sfn "$prefix/current/bin/toolpoint" "$command"
+    fi
 fi
 make_current "$version"

@@ -91,7 +91,10 @@ def test_install_upgrade_and_back(tmp_path: Path) -> None:
         "usr/lib/sysusers.d/toolpoint.conf",
         "usr/lib/tmpfiles.d/toolpoint.conf",
         "etc/udev/rules.d/60-toolpoint.rules",
+        "usr/local/bin/toolpoint",
     }
+    by_name = root / "usr/local/bin/toolpoint"
+    assert by_name.readlink() == prefix / "current/bin/toolpoint", "the command of the guides, in any version"
 
     for unit in ("toolpoint.service", "toolpoint-sink.service", "toolpoint-store.service", "toolpoint-release.service"):
         text = (root / "etc/systemd/system" / unit).read_text("utf-8")
@@ -104,6 +107,13 @@ def test_install_upgrade_and_back(tmp_path: Path) -> None:
     again = install(made, prefix, "--program-only")
     assert again.returncode == 1 and "installed" in again.stderr and current(prefix) == "0.0.1"
     assert sorted(path.name for path in prefix.iterdir()) == ["0.0.1", "0.0.2", "current"]
+
+    by_name.unlink()
+    by_name.write_text("somebody's own", encoding="utf-8")
+    shutil.rmtree(prefix / "0.0.2")
+    beside = install(made, prefix, "--root", str(root))
+    assert beside.returncode == 0 and by_name.read_text("utf-8") == "somebody's own"
+    assert f"{by_name} is there already" in beside.stderr and f"{prefix}/current/bin/toolpoint" in beside.stderr
 
 
 @pytest.mark.parametrize(

@@ -350,6 +350,29 @@ async def test_switching_on_takes_the_right_and_a_confirmation(tmp_path):
         assert any(bench.rig.snapshots.control.wanted)
 
 
+async def test_an_acknowledgement_says_that_the_axes_follow_again_and_they_do(tmp_path):
+    async with monitor(tmp_path, users=accounts_file(tmp_path, anna="operator")) as bench, chromium() as browser:
+        await bench.rig.active()
+        bench.rig.control.journal.raise_fault("read-back differs: #501")
+        await bench.rig.turn()
+        assert bench.rig.state == "FAULT"
+        seen = await watched(browser, f"http://127.0.0.1:{bench.port}/")
+        await log_in(seen, "anna")
+        await seen.page.locator("#do-acknowledge").click()
+        await expect(seen.page.locator("dialog")).to_contain_text("holds what the CNC applies")
+        await expect(seen.page.locator("dialog")).to_contain_text("follow again by themselves")
+        turning = asyncio.create_task(keep_following(bench))
+        await seen.page.locator("dialog button[type=submit]").click()
+        await expect(seen.page.locator("#state")).to_contain_text("ACTIVE", timeout=PATIENCE_MS)
+        turning.cancel()
+
+
+async def keep_following(bench: MonitorBench) -> None:
+    while True:
+        await bench.rig.follow(0.0, 0.0, 1)
+        await asyncio.sleep(0.05)
+
+
 async def test_lobes_response_and_working_point_are_drawn_and_an_engineer_ends_the_tuning(tmp_path):
     bench, port = SpeedRig(tmp_path), free_port()
     users = accounts_file(tmp_path, eva="engineer")
