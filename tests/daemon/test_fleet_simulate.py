@@ -73,11 +73,23 @@ def test_the_command_says_what_arrived(server: Server, tmp_path: Path) -> None:
         ("host=127.0.0.1 port=1 user=nobody", "--postgres: "),
         ("host=db sslmode=require", "give disable or verify-full"),
         ("no such thing", "--postgres: "),
+        ("host=127.0.0.1,127.0.0.2 port=1,2", "--postgres: port=1,2: give the port of one server"),
+        ("postgresql://anna@db:http/plant", "--postgres: port=http: give the port of one server"),
+        ("host=db port=99999", "--postgres: port: "),
+        ("host=db user=''", "--postgres: user_name: "),
     ],
 )
 def test_a_database_that_cannot_be_used_is_refused(dsn: str, said: str) -> None:
     done = CliRunner().invoke(main, ["fleet", "simulate", "--postgres", dsn])
     assert done.exit_code == 2 and said in done.output
+
+
+@pytest.mark.parametrize(
+    ("url", "said"), [("mqtt://[::1", "Invalid IPv6"), ("mqtt://@db", "user_name: ")]
+)
+def test_a_brokers_address_that_is_none_is_refused(url: str, said: str) -> None:
+    done = CliRunner().invoke(main, ["fleet", "simulate", "--postgres", "host=127.0.0.1 port=1", "--mqtt", url])
+    assert done.exit_code == 2 and "--mqtt: " in done.output and said in done.output
 
 
 @pytest.mark.parametrize("kind", ["mqtt", "mqtts"])

@@ -12,12 +12,13 @@ from dataclasses import asdict, dataclass, replace
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 from urllib.parse import unquote, urlsplit
 
 import numpy as np
 import psycopg
 from psycopg.conninfo import conninfo_to_dict
+from pydantic import BaseModel, ValidationError
 
 from config.schema.plant_store import PlantStoreConfig, SubscriptionConfig
 from config.schema.sinks import MqttSinkConfig, PostgresqlConfig, SinkConfig
@@ -48,6 +49,7 @@ SPAWN = multiprocessing.get_context("spawn")
 Body = tuple[Callable[..., None], tuple[Any, ...]]
 """What a process runs, and its arguments."""
 Say = Callable[[str], None]
+Made = TypeVar("Made", bound=BaseModel)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -223,18 +225,29 @@ def database_of(dsn: str, folder: Path) -> PostgresqlConfig:
     there: dict[str, Any] = {"host": known.get("host", "localhost"), "tls": mode == "verify-full"}
     names = {"dbname": "database", "user": "user_name"}
     there |= {key: known[name] for name, key in names.items() if name in known}
-    there |= {"port": int(str(known.get("port", 5432)))}
+    if not (port := str(known.get("port", 5432))).isdecimal():
+        raise SimulationError(f"--postgres: port={port}: give the port of one server")
+    there |= {"port": int(port)}
     if "sslrootcert" in known:
         there["ca_certificate"] = Path(str(known["sslrootcert"]))
     if "password" in known:
         there["password_file"] = _secret(folder / "database-password", str(known["password"]))
-    return PostgresqlConfig.model_validate(there)
+    return _made("--postgres", PostgresqlConfig, there)
+
+
+def _made(option: str, section: type[Made], there: Mapping[str, Any]) -> Made:
+    """Return a section of what an option says; raises SimulationError."""
+    try:
+        return section.model_validate(there)
+    except ValidationError as error:
+        wrong = error.errors(include_url=False)[0]
+        raise SimulationError(f"{option}: {' '.join(map(str, wrong['loc']))}: {wrong['msg']}") from None
 
 
 def broker_of(url: str, folder: Path) -> dict[str, Any]:
     """Return the keys of a broker; its password goes into a file of the folder."""
-    parts = urlsplit(url)
     try:
+        parts = urlsplit(url)
         port = parts.port
     except ValueError as error:
         raise SimulationError(f"--mqtt: {error}") from None
@@ -275,8 +288,8 @@ def route_of(dsn: str, mqtt: str | None, folder: Path, period_s: float, resend_s
     if mqtt is None:
         return Route(dsn=dsn, sink=SinkConfig(driver="postgresql", postgresql=database, **sink))
     broker = broker_of(mqtt, folder)
-    section = MqttSinkConfig.model_validate(broker | {"discovery": None, "resend_s": resend_s})
-    subscription = SubscriptionConfig.model_validate(broker | {"client_id": f"{TOPIC}-store"})
+    section = _made("--mqtt", MqttSinkConfig, broker | {"discovery": None, "resend_s": resend_s})
+    subscription = _made("--mqtt", SubscriptionConfig, broker | {"client_id": f"{TOPIC}-store"})
     return Route(
         dsn=dsn,
         sink=SinkConfig(driver="mqtt", mqtt=section, **sink),
