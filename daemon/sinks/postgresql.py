@@ -1,6 +1,7 @@
 """The PostgreSQL sink: rows of one machine, and how far they have come, in one transaction.
 
-The position stands in the database: one that was restored from an older copy gets again what it lost.
+The position stands in the database: one that was restored from an older copy gets again what it lost. Where another
+computer has sent the same store, it may be beyond what this one has sent: then the cursor says how far that is.
 """
 
 import json
@@ -12,6 +13,7 @@ import psycopg
 
 from config.schema.sinks import SinkConfig
 from daemon.history.cursors import Cursor, Position
+from daemon.sinks.computer import this_computer
 from daemon.sinks.contract import Progress
 from daemon.sinks.database import EPOCH, Database, time_of
 from daemon.sinks.outbox import DAY_MS, STREAMS, Batch, Outbox
@@ -37,16 +39,20 @@ CONVERSIONS: Mapping[str, Callable[[Any], Any]] = {
 }
 
 DELIVERED = """
-INSERT INTO deliveries (machine, stream, generation, last_row, last_chunk, newest) VALUES (%s, %s, %s, %s, %s, %s)
-ON CONFLICT (machine, stream) DO UPDATE SET generation = excluded.generation, last_row = excluded.last_row,
-    last_chunk = excluded.last_chunk, newest = excluded.newest, delivered = now()
+INSERT INTO deliveries (machine, stream, generation, computer, last_row, last_chunk, newest)
+VALUES (%s, %s, %s, %s, %s, %s, %s)
+ON CONFLICT (machine, stream) DO UPDATE SET generation = excluded.generation, computer = excluded.computer,
+    last_row = excluded.last_row, last_chunk = excluded.last_chunk, newest = excluded.newest, delivered = now()
 RETURNING (
     SELECT count(*) FROM deliveries AS other
-    WHERE other.machine = deliveries.machine AND other.generation NOT IN ('', deliveries.generation)
-    AND other.delivered BETWEEN now() - interval '1 minute' AND now()
+    WHERE other.machine = deliveries.machine AND other.delivered BETWEEN now() - interval '1 minute' AND now()
+    AND (
+        other.generation NOT IN ('', deliveries.generation)
+        OR (other.computer <> deliveries.computer AND '' NOT IN (other.computer, deliveries.computer))
+    )
 )
 """
-"""Says how many streams of this machine another store has brought in the last minute."""
+"""Says how many streams of this machine another store or computer has brought in the last minute."""
 
 
 class PostgresqlSink:
@@ -54,7 +60,7 @@ class PostgresqlSink:
 
     def __init__(self, config: SinkConfig, machine: str) -> None:
         assert config.postgresql is not None
-        self._machine = machine
+        self._machine, self._computer = machine, this_computer()
         where = f"sink {config.name}: database {config.place}"
         self._database = Database(config.postgresql, where, f"toolpoint sink {config.name}")
 
@@ -63,12 +69,17 @@ class PostgresqlSink:
         self._database.open()
         try:
             found = self._database.connection.execute(
-                "SELECT stream, last_row, last_chunk FROM deliveries WHERE machine = %s AND generation = %s",
-                (self._machine, cursor.generation),
+                "SELECT stream, last_row, last_chunk, computer IN ('', %s) FROM deliveries "
+                "WHERE machine = %s AND generation = %s",
+                (self._computer, self._machine, cursor.generation),
             ).fetchall()
         except (psycopg.Error, OSError) as error:
             raise self._database.refused(error) from error
-        return {stream: Position(row=row, chunk=chunk) for stream, row, chunk in found}
+        positions = {}
+        for stream, row, chunk, own in found:
+            known = Position(row=row, chunk=chunk) if own else cursor.positions.get(stream, Position())
+            positions[stream] = Position(row=min(row, known.row), chunk=min(chunk, known.chunk))
+        return positions
 
     def close(self) -> None:
         """Close the connection."""
@@ -97,7 +108,8 @@ class PostgresqlSink:
         with self._database.transaction() as connection:
             stored = self._database.put(stream, rows, {row[0] // DAY_MS for row in batch.rows})
             position = batch.after.row, batch.after.chunk, EPOCH + timedelta(seconds=batch.newest_utc_s)
-            others = connection.execute(DELIVERED, (self._machine, stream.name, generation, *position)).fetchone()
+            place = self._machine, stream.name, generation, self._computer
+            others = connection.execute(DELIVERED, (*place, *position)).fetchone()
             if others != (0,):
                 raise self._database.problem(name_taken(self._machine))
         return stored

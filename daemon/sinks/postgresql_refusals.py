@@ -74,10 +74,10 @@ def other_encoding(encoding: str) -> str:
 
 
 def name_taken(machine: str) -> str:
-    """Return that another store sends under the name of this machine."""
+    """Return that another store, or a copy of this one, sends under the name of this machine."""
     return (
-        f"another store has sent as {machine} in the last minute: `machine` must differ from computer to computer; a "
-        "store that was restored or begun anew waits this minute"
+        f"another store, or this one on another computer, has sent as {machine} in the last minute: `machine` must "
+        "differ from computer to computer; a store that was restored, moved or begun anew waits this minute"
     )
 
 

@@ -84,9 +84,7 @@ def test_a_database_that_cannot_be_used_is_refused(dsn: str, said: str) -> None:
     assert done.exit_code == 2 and said in done.output
 
 
-@pytest.mark.parametrize(
-    ("url", "said"), [("mqtt://[::1", "Invalid IPv6"), ("mqtt://@db", "user_name: ")]
-)
+@pytest.mark.parametrize(("url", "said"), [("mqtt://[::1", "Invalid IPv6"), ("mqtt://@db", "user_name: ")])
 def test_a_brokers_address_that_is_none_is_refused(url: str, said: str) -> None:
     done = CliRunner().invoke(main, ["fleet", "simulate", "--postgres", "host=127.0.0.1 port=1", "--mqtt", url])
     assert done.exit_code == 2 and "--mqtt: " in done.output and said in done.output

@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -29,6 +30,7 @@ from config.schema.service import HistoryConfig
 from config.schema.sinks import PostgresqlConfig, SinkConfig
 from daemon.history import HistoryReader, HistoryWriter, housekeeping
 from daemon.history.cursors import Cursor, Position, cursor_path
+from daemon.sinks.computer import this_computer
 from daemon.sinks.contract import SinkError
 from daemon.sinks.database import PARTITIONED, STORE, Database, authorities, scripts
 from daemon.sinks.outbox import STREAMS
@@ -260,7 +262,9 @@ def test_two_machines_of_one_name_do_not_mix_their_rows(server: Server, tmp_path
         fill(store, hours=0.5)
     assert send(server, tmp_path, first).problem == ""
     refused = send(server, tmp_path, second)
-    assert f"another store has sent as {MACHINE} in the last minute: `machine` must differ" in refused.problem
+    assert (
+        f"another store, or this one on another computer, has sent as {MACHINE} in the last minute" in refused.problem
+    )
     assert refused.sent_rows == 0
     fill(first, start_s=EPOCH_S + 1800.0, hours=0.5)
     assert send(server, tmp_path, first).problem == "", "the other one did not disturb it"
@@ -277,13 +281,70 @@ def test_two_machines_of_one_name_do_not_mix_while_a_plants_store_is_connected(s
     assert send(server, tmp_path, first).problem == ""
     with contextlib.closing(Database(section(server, tmp_path).postgresql, "database", STORE)) as database:
         database.open()
-        assert "another store has sent" in send(server, tmp_path, second).problem
+        assert "another store" in send(server, tmp_path, second).problem
         a_minute_later(server)
         row = row_of("toolpoint/mill 7/history/events", NOTE, "toolpoint")
         _put(database, [row])
         assert send(server, tmp_path, second).problem == "", "the first is off; what comes over a broker is another way"
         late = store_status(PlantStoreConfig(mqtt={"host": "broker"}, postgresql=section(server, tmp_path).postgresql))
         assert late["running"] and late["machines"][0]["stored_utc_s"] > time.time() - 60.0
+
+
+class Copied(PostgresqlSink):
+    """The sink of a computer whose disk is a copy of another one's."""
+
+    def __init__(self, config: SinkConfig, machine: str) -> None:
+        super().__init__(config, machine)
+        self._computer = "the other one"
+
+
+def test_a_copied_disk_is_refused_and_neither_computer_loses_a_row(server: Server, tmp_path: Path) -> None:
+    """Both have the same store, each beyond the copy with rows of its own under the same numbers."""
+    here, there = tmp_path / "here", tmp_path / "there"
+    here.mkdir()
+    fill(here / "h.sqlite", hours=0.5)
+    assert send(server, tmp_path, here / "h.sqlite").problem == ""
+    shutil.copytree(here, there)
+    fill(here / "h.sqlite", start_s=EPOCH_S + 1800.0, hours=0.5)
+    fill(there / "h.sqlite", start_s=EPOCH_S + 1860.0, hours=1.0)
+
+    def send_from(folder: Path) -> Cursor:
+        runner = runner_for(server, tmp_path, folder / "h.sqlite")
+        runner._open_sink = make_sink if folder is here else Copied
+        runner.run()
+        return runner.cursor
+
+    refused = send_from(there)
+    assert "or this one on another computer, has sent" in refused.problem and counts(server)["cnc"] == 6
+    assert send_from(here).problem == "", "the copy did not disturb it"
+    a_minute_later(server)
+    assert send_from(there).problem == "", "the first is off, or its disk was moved"
+    fill(here / "h.sqlite", start_s=EPOCH_S + 3600.0, hours=0.25)
+    assert "on another computer" in send_from(here).problem and counts(server)["cnc"] == 6 + 6 + 12
+    a_minute_later(server)
+    assert send_from(here).problem == "" and counts(server)["cnc"] == 6 + 6 + 12 + 3
+    a_minute_later(server)
+    fill(there / "h.sqlite", start_s=EPOCH_S + 7200.0, hours=0.25)
+    assert send_from(there).problem == "" and counts(server)["cnc"] == 6 + 6 + 12 + 3 + 3
+
+
+def test_a_computer_is_known_by_its_network_cards_and_stays_the_same_over_a_restart(tmp_path: Path) -> None:
+    def computer(name: str, start: str, *addresses: str) -> str:
+        cards = tmp_path / name / start
+        for number, address in enumerate(addresses):
+            (cards / f"eth{number}" / "device").mkdir(parents=True)
+            (cards / f"eth{number}" / "address").write_text(f"{address}\n")
+        (cards / "docker0").mkdir(parents=True)
+        (cards / "docker0" / "address").write_text(f"{start}\n")
+        (started := cards.with_suffix(".boot")).write_text(f"{start}\n")
+        return this_computer(cards, started)
+
+    assert computer("a", "1", "02:00:00:00:00:01", "02:00:00:00:00:02") == computer(
+        "a", "2", "02:00:00:00:00:02", "02:00:00:00:00:01"
+    )
+    assert computer("a", "3", "02:00:00:00:00:01") != computer("b", "3", "02:00:00:00:00:03")
+    assert computer("c", "4") != computer("c", "5") and this_computer(tmp_path / "no", tmp_path / "none") == ""
+    assert this_computer() == this_computer() != ""
 
 
 def test_two_readings_of_one_time_both_arrive_once(server: Server, tmp_path: Path) -> None:
@@ -493,7 +554,7 @@ def test_a_newer_schema_is_refused_and_left_alone(server: Server, tmp_path: Path
     before = counts(server)
     fill(store, start_s=EPOCH_S + 7200.0, hours=0.5)
     cursor = send(server, tmp_path, store)
-    assert "version 99, this version of toolpoint knows up to 5" in cursor.problem
+    assert "version 99, this version of toolpoint knows up to 6" in cursor.problem
     assert counts(server) == before
 
 
