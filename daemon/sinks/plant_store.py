@@ -329,7 +329,8 @@ def store_status(config: PlantStoreConfig) -> dict[str, Any]:
         database.open()
         ask = database.connection.execute
         (running,) = ask(
-            "SELECT count(*) > 0 FROM pg_stat_activity WHERE application_name = %s", (STORE,)
+            "SELECT count(*) > 0 FROM pg_stat_activity WHERE application_name = %s AND datname = current_database()",
+            (STORE,),
         ).fetchone() or (False,)
         found = ask(
             "SELECT machine, extract(epoch FROM max(newest))::float8, "

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,21 @@ def test_a_worker_that_is_killed_in_the_middle_changes_nothing(machines: list[Ma
     assert [one.machine for one in shared.summaries] == [one.machine for one in alone.summaries]
     assert np.allclose(shared.machine_type.models, alone.machine_type.models, atol=1e-5)
     assert [one.how for one in shared.left_out] == [one.how for one in alone.left_out]
+
+
+def test_a_cluster_whose_workers_end_or_whose_scheduler_goes_is_said() -> None:
+    from distributed import LocalCluster
+
+    from daemon.workbench.thermal.fleet import mapped
+
+    with (
+        LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
+        fleet_executor(1, cluster.scheduler_address) as executor,
+    ):
+        with pytest.raises(FleetError, match=r"4 Dask workers ended, .* while machine 1 of 1 .* more memory"):
+            mapped(executor, os._exit, [1], lambda done: None)
+        with pytest.raises(FleetError, match="connection to the Dask scheduler was lost while machine 2 of 3"):
+            mapped(executor, time.sleep, [0.1, 5.0, 5.0], lambda done: cluster.close())
 
 
 def test_a_scheduler_that_is_not_there_is_refused_with_its_address() -> None:

@@ -647,6 +647,20 @@ def test_a_database_without_an_encoding_gets_every_text_as_it_is(server: Server,
         assert ask("SELECT um->>'長' FROM toolpoint.displacements ORDER BY time LIMIT 1").fetchone() == ("0.0",)
 
 
+@pytest.mark.parametrize("encoded", ["UTF8"], indirect=True)
+def test_a_store_of_another_database_of_the_server_is_not_taken_for_the_one(
+    server: Server, tmp_path: Path, encoded: str
+) -> None:
+    one, other = (section(server, tmp_path, database=name).postgresql for name in ("toolpoint", encoded))
+    assert one is not None and other is not None
+    with contextlib.closing(Database(other, "database", STORE)) as database:
+        database.open()
+        running = [
+            store_status(PlantStoreConfig(mqtt={"host": "broker"}, postgresql=each))["running"] for each in (one, other)
+        ]
+    assert running == [False, True]
+
+
 @pytest.mark.parametrize("encoded", ["LATIN1"], indirect=True)
 def test_a_database_that_cannot_hold_every_text_is_refused_before_it_holds_anything(
     server: Server, tmp_path: Path, encoded: str

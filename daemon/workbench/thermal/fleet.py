@@ -1,7 +1,8 @@
 """Trains a model of a machine type from the recordings of many machines, on processes or on a Dask cluster."""
 
+import sys
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -110,16 +111,31 @@ def mapped(
 ) -> list[Result]:
     """Return the result of each task, in order; raises what a task raises, and FleetError where workers are lost."""
     found: list[Result] = []
+    lost: tuple[type[Exception], ...] = (BrokenExecutor, CancelledError, *_of_dask())
     try:
         for result in map(work, tasks) if executor is None else executor.map(work, tasks):
             found.append(result)
             done(len(found))
-    except BrokenExecutor as error:
-        raise FleetError(
-            f"a worker ended while machine {len(found) + 1} of {len(tasks)} was read (killed, or out of memory); use "
-            "fewer --workers"
-        ) from error
+    except lost as error:
+        machine = f"while machine {len(found) + 1} of {len(tasks)} was read"
+        match error:
+            case BrokenExecutor():
+                why = f"a worker ended {machine} (killed, or out of memory); use fewer --workers"
+            case CancelledError():
+                why = f"the connection to the Dask scheduler was lost {machine}; see that it runs, and start again"
+            case _:
+                why = (
+                    f"{RETRIES + 1} Dask workers ended, one after the other, {machine} (killed, or out of memory); "
+                    "give each worker more memory, or fewer threads"
+                )
+        raise FleetError(why) from error
     return found
+
+
+def _of_dask() -> tuple[type[Exception], ...]:
+    """Return what a Dask cluster raises that gives a task up; it is loaded where there is one."""
+    distributed = sys.modules.get("distributed")
+    return () if distributed is None else (distributed.KilledWorker,)
 
 
 def train_fleet(
