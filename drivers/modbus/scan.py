@@ -51,8 +51,7 @@ class ModbusScan:
                     words = await self._table(unit_id, table, registers)
                     if words is None:
                         break  # nobody is there
-                    if words:
-                        yield unit_id, table, words
+                    yield unit_id, table, words
         finally:
             self._close()
 
@@ -103,7 +102,7 @@ def _readings(words: dict[int, int], kind: str) -> dict[int, float]:
     about = {"id": 1, "component": "-", "address": 0, "type": kind}
     sensor = ModbusSensorConfig.model_validate(about)
     step, found = sensor.width, dict[int, float]()
-    for address in range(min(words), max(words) + 1, step):
+    for address in range(min(words, default=0), max(words, default=-1) + 1, step):
         registers = [words.get(address + i) for i in range(step)]
         known = [word for word in registers if word is not None]
         if len(known) == step and math.isfinite(number := number_of(known, sensor)):

@@ -66,7 +66,7 @@ class BoundedProtocol(UASocketProtocol):
         while self.transport is not None and not self.transport.is_closing() and len(data) - at >= SIZE.size:
             (size,) = SIZE.unpack_from(data, at)
             if not SIZE.size < size <= LONGEST_CHUNK:
-                self._fail_all_pending(UaError(f"the server sends a chunk of {size} byte"))
+                self._fail_all_pending(UaError(f"no OPC UA server answers there (a chunk of {size} byte)"))
                 self.transport.abort()
                 return
             if len(data) - at < size:

@@ -142,6 +142,12 @@ async def test_the_audit_is_listed_newest_first_with_what_stood_there_before(ben
     by_reason = (await browser.get(f"{asked}&reason=FOLLOWING")).json["writes"]
     assert by_reason and all("following" in each["reason"] for each in by_reason)
     assert not (await browser.get(f"{asked}&reason=zzz")).json["writes"]
+    assert {each["outcome"] for each in whole} == {"verified"}
+    assert (await browser.get(f"{asked}&limit=1000&outcome=verified")).json["writes"] == whole
+    none = (await browser.get(f"{asked}&limit=1&outcome=refused")).json
+    assert none == {"writes": [], "more": False}, "looked for in all of the time, not among the newest"
+    answer = await browser.get(f"{asked}&outcome=lost")
+    assert answer.status == 422 and "outcome" in answer.detail
 
 
 @pytest.mark.parametrize("what", ["temperatures", "writes"])

@@ -83,6 +83,15 @@ async def test_a_chunk_that_is_too_long_is_not_waited_for() -> None:
 
 
 @on_wires
+async def test_a_server_of_another_kind_is_said_to_be_none() -> None:
+    async def web(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.read(4096)
+        writer.write(b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n")
+
+    await refused(await driver_at(web), "no OPC UA server answers there")
+
+
+@on_wires
 async def test_a_server_that_takes_next_to_nothing_is_none() -> None:
     async def tiny(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         await reader.read(4096)

@@ -367,6 +367,20 @@ async def test_an_acknowledgement_says_that_the_axes_follow_again_and_they_do(tm
         turning.cancel()
 
 
+async def test_a_download_that_cannot_be_made_says_why(tmp_path):
+    async with monitor(tmp_path) as bench, chromium() as browser:
+        await bench.rig.active()
+        seen = await watched(browser, f"http://127.0.0.1:{bench.port}/")
+        await seen.open("history")
+        async with seen.page.expect_popup() as asked:
+            await seen.page.get_by_text("recording (CSV)").click()
+        said = await asked.value
+        await expect(said.locator("body")).to_contain_text("displacements", timeout=PATIENCE_MS)
+        async with seen.page.expect_download() as kept:
+            await seen.page.get_by_text("writes (CSV)").click()
+        assert (await kept.value).suggested_filename.startswith("writes-")
+
+
 async def keep_following(bench: MonitorBench) -> None:
     while True:
         await bench.rig.follow(0.0, 0.0, 1)

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import socket
 import subprocess
 import sys
 import threading
@@ -164,6 +165,16 @@ def test_a_scan_that_finds_nothing_says_what_to_try(tmp_path: Path) -> None:
     assert nobody.exit_code == 1 and "127.0.0.1:1 cannot be reached" in nobody.output
     odd = runner.invoke(main, ["sources", "scan", "modbus", "127.0.0.1:1", "--units", "1-900"])
     assert odd.exit_code == 2 and "such as 1 or 1-16" in odd.output
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        deaf = runner.invoke(main, ["sources", "scan", "modbus", f"127.0.0.1:{mute.getsockname()[1]}"])
+    assert deaf.exit_code == 1 and "looks like a temperature" not in deaf.output, "nothing was read"
+    assert "unit 1 does not answer as a Modbus box: check place, wires, --units" in deaf.output
+    refusing = Box([None] * 16)
+    without = runner.invoke(main, ["sources", "scan", "modbus", f"127.0.0.1:{refusing.port}"])
+    refusing.stop()
+    assert "no register from 0 to 15 looks like a temperature" in without.output, "it answers, and has none"
+    tags = runner.invoke(main, ["sources", "scan", "opcua", "127.0.0.1:1"])
+    assert tags.exit_code == 1 and tags.output.count("\n") == 1 and "127.0.0.1:1 was lost" in tags.output
     empty = runner.invoke(main, ["sources", "scan", "kernel", str(tmp_path)])
     assert empty.exit_code == 1 and "the kernel shows no temperature" in empty.output
     silent = runner.invoke(main, ["sources", "scan", "mqtt", "127.0.0.1:1", "--seconds", "0.5"])

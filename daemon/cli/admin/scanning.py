@@ -1,6 +1,7 @@
 """`toolpoint sources scan`: what is on a bus, as configuration to paste."""
 
 import asyncio
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -98,9 +99,10 @@ async def _modbus(wire: dict[str, Any], unit_ids: range, registers: int) -> Foun
     from drivers.modbus.scan import SIGNS, ModbusScan, temperatures_among
 
     config = ModbusConfig.model_validate({**wire, "sensors": [{"id": 1, "component": "-", "address": 0}]})
+    answered = False
     found: Found = []
     async for unit_id, table, words in ModbusScan(config).found(unit_ids, registers):
-        registers_found = temperatures_among(unit_id, table, words)
+        answered, registers_found = True, temperatures_among(unit_id, table, words)
         say(f"unit {unit_id}: {len(words)} {table} registers, {len(registers_found)} look like temperatures")
         for each in registers_found:
             entry: dict[str, Any] = {"address": each.address, "unit_id": unit_id, "table": table, "type": each.type}
@@ -111,6 +113,10 @@ async def _modbus(wire: dict[str, Any], unit_ids: range, registers: int) -> Foun
             found.append((entry, each.words))
         if registers_found:
             break  # boxes often show the same registers in both tables; the first that fits is enough
+    if not answered:
+        asked = f"unit {unit_ids[0]}" if len(unit_ids) == 1 else f"of units {unit_ids[0]} to {unit_ids[-1]} none"
+        silent = "does not answer" if len(unit_ids) == 1 else "answers"
+        raise DriverError(f"{asked} {silent} as a Modbus box: check place, wires, --units, --baud and --parity")
     return found
 
 
@@ -166,6 +172,7 @@ async def _mqtt(host: str, port: int, topic: str, seconds: float) -> Found:
 def _server(place: str) -> None:
     from drivers.opcua.scan import LENGTHS
 
+    logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # what matters of it is in the error
     endpoint = place if place.startswith("opc.tcp://") else f"opc.tcp://{place if ':' in place else f'{place}:4840'}"
     try:
         tags, more = asyncio.run(_browsed(endpoint))

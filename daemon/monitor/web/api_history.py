@@ -126,12 +126,14 @@ async def writes(
     reason: Annotated[
         str | None, Query(max_length=200, description="only writes whose reason, cause or person holds this text")
     ] = None,
+    outcome: Annotated[schemas.Outcome | None, Query(description="only writes that ended like this")] = None,
 ) -> Response:
     """Return the audit of macro writes, the newest first."""
     start_s, end_s = interval(request, from_s, to_s)
 
     def ask(reader: HistoryReader, go_on: Callable[[], None]) -> bytes:
-        return encoded(writes_document(reader, start_s, end_s, limit, reason or "", go_on), packed=packed)
+        found = writes_document(reader, start_s, end_s, limit, reason or "", outcome or "", go_on)
+        return encoded(found, packed=packed)
 
     packed = takes_gzip(request.headers)
     body = await recorded_of(request).query(ask)

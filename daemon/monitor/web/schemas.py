@@ -10,6 +10,7 @@ from daemon.snapshots import ModelSnapshot, WriteCounts
 from models.records import OutputState
 
 Utc = Annotated[float, Field(description="UTC [s since 1970]")]
+Outcome = Literal["intended", "verified", "differs", "failed", "refused"]
 
 
 class Document(BaseModel):
@@ -284,7 +285,7 @@ class Write(Document):
     macros: list[list[float | None]] = Field(description="number and value, in the order written")
     old: list[float | None] = Field(description="what each of them held before, as far as the audit knows")
     read_back: list[float | None]
-    outcome: Literal["intended", "verified", "differs", "failed", "refused"]
+    outcome: Outcome
     detail: str | None
     model_id: str | None
     delay_s: dict[str, float]

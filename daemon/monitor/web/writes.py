@@ -15,9 +15,9 @@ SEARCHED = ("reason", "cause", "person", "state")
 
 
 def writes_document(
-    reader: HistoryReader, from_s: float, to_s: float, limit: int, text: str, go_on: Callable[[], None]
+    reader: HistoryReader, from_s: float, to_s: float, limit: int, text: str, outcome: str, go_on: Callable[[], None]
 ) -> dict[str, Any]:
-    """Return the latest writes of an interval, the newest first; only those that hold `text`, where there is one."""
+    """Return the latest writes of an interval, newest first; where given, only those with `text` and of `outcome`."""
     extent = reader.extent(WRITES.name)
     if extent is None:
         return {"writes": [], "more": False}
@@ -26,7 +26,7 @@ def writes_document(
     while stop_s > first_s and len(found) <= limit:
         go_on()
         begin_s = max(first_s, stop_s - HOUR_S)
-        found = [*(each for each in reader.writes(begin_s, stop_s) if _holds(each, text)), *found]
+        found = [*(each for each in reader.writes(begin_s, stop_s) if _holds(each, text, outcome)), *found]
         stop_s = begin_s
     more, found = len(found) > limit, found[-limit:]
     if not found:
@@ -42,7 +42,9 @@ def writes_document(
     return {"writes": documents[::-1], "more": more}
 
 
-def _holds(record: WriteRecord, text: str) -> bool:
+def _holds(record: WriteRecord, text: str, outcome: str) -> bool:
+    if outcome not in ("", record.outcome.name.lower()):
+        return False
     return not text or any(text.lower() in (getattr(record, name) or "").lower() for name in SEARCHED)
 
 

@@ -41,8 +41,8 @@ class History {
     if (!status) { setTimeout(() => this.element.isConnected && this.load(), 300); return; }
     const to = status.time, from = to - this.range_s;
     try {
-      const found = await ask("writes", { from, to, limit: LIMIT, reason: this.reason || undefined });
-      const shown = found.writes.filter((write) => !this.outcome || write.outcome === this.outcome);
+      const found = await ask("writes", { from, to, limit: LIMIT, reason: this.reason || undefined, outcome: this.outcome || undefined });
+      const shown = found.writes;
       this.said.textContent = `${shown.length} ${shown.length === 1 ? "write" : "writes"}${found.more ? `, the newest ${LIMIT} of the range: ask for less time, or download all` : ""}.`;
       this.draw(shown);
       this.offer(from, to);
@@ -67,7 +67,7 @@ class History {
   }
 
   offer(from, to) {
-    const link = (what, words, format) => h("a", { class: "download", href: `/api/v1/export?what=${what}&format=${format}&from=${from.toFixed(3)}&to=${to.toFixed(3)}`, download: "" }, `${words} (${format === "csv" ? "CSV" : "Parquet"})`);
+    const link = (what, words, format) => h("a", { class: "download", href: `/api/v1/export?what=${what}&format=${format}&from=${from.toFixed(3)}&to=${to.toFixed(3)}`, target: "_blank" }, `${words} (${format === "csv" ? "CSV" : "Parquet"})`);
     this.downloads.replaceChildren(...[["writes", "writes"], ["recording", "recording"], ["temperatures", "temperatures"]].flatMap(([what, words]) => ["csv", "parquet"].map((format) => link(what, words, format))));
   }
 }
