@@ -2,10 +2,12 @@
 
 import asyncio
 import contextlib
+import os
 import shutil
+import sqlite3
 import threading
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -51,14 +53,16 @@ class Hall:
 
     def _run(self) -> SinkRunner:
         stop = threading.Event()
+        runner = self.runner_until(stop, lambda _duration_s: stop.set())
+        runner.run()
+        return runner
 
+    def runner_until(self, stop: threading.Event, wait: Callable[[float], None]) -> SinkRunner:
         def make(config: SinkConfig, _machine: str) -> AlarmSink:
             return AlarmSink(config, self.configuration, make_messenger(config), self._now_utc_s)
 
         store = self.configuration.history.path
-        runner = SinkRunner(self.config, store, "mill", stop, make, lambda _duration_s: stop.set())
-        runner.run()
-        return runner
+        return SinkRunner(self.config, store, "mill", stop, make, wait)
 
     async def look(self, after_s: float = 0.0) -> list[str]:
         """Let time pass without the output task; return what people were told at one look of a sink begun anew."""
@@ -183,6 +187,56 @@ async def test_a_server_that_refuses_loses_nothing_and_the_runner_says_which_key
         (said,) = await it.look()
         assert said.endswith("why") and it.runner.cursor.problem == ""
         assert len(it.posts.asked) == 2
+
+
+async def test_a_disk_that_takes_nothing_more_keeps_no_alarm_back(tmp_path: Path) -> None:
+    """What cannot be kept is told all the same: once while the sender lives."""
+    async with hall(tmp_path) as it:
+        await it.rig.turn()
+        await it.look()
+        state = state_path(it.configuration.history.path, "chat")
+        in_the_way = [state.with_name(f".{name}.{os.getpid()}.tmp") for name in (state.name, "chat.json")]
+        for each in in_the_way:
+            each.mkdir()
+        await fault(it.rig, "why")
+        await it.rig.history.flushed()
+        stop, waits = threading.Event(), []
+
+        def wait(_duration_s: float) -> None:
+            waits.append(it.runner.cursor.problem)
+            if len(waits) == 3:
+                for each in in_the_way:
+                    each.rmdir()
+            if len(waits) == 5:
+                stop.set()
+
+        it.runner = it.runner_until(stop, wait)
+        await asyncio.to_thread(it.runner.run)
+        assert [post["alarms"][0]["sentence"].endswith("why") for post in it.posts.taken] == [True]
+        assert all(f"{state} cannot be written" in problem for problem in waits[:3]) and waits[-1] == ""
+        assert await it.look() == []
+
+
+async def test_a_fault_that_the_store_cannot_record_is_told_and_its_end_too(tmp_path: Path) -> None:
+    async with hall(tmp_path) as it:
+        await it.rig.turn()
+        await it.look()
+        with contextlib.closing(sqlite3.connect(it.configuration.history.path, isolation_level=None)) as other:
+            other.execute("BEGIN IMMEDIATE")
+            await fault(it.rig, "why")
+            assert await look_at_once(it) == []
+            (said,) = await look_at_once(it, 31.0)
+            assert said.startswith("FAULT, since") and said.endswith("why")
+            other.execute("ROLLBACK")
+        assert await it.look(3600.0) == []
+        await acknowledged(it.rig)
+        (said,) = await it.look()
+        assert said.startswith("FAULT ended") and await it.look(1e4) == []
+
+
+async def look_at_once(it: Hall, after_s: float = 0.0) -> list[str]:
+    it.away_s += after_s
+    return await look_without_daemon(it)
 
 
 async def test_what_the_server_took_without_an_answer_comes_again_with_the_same_number(tmp_path: Path) -> None:

@@ -2,15 +2,17 @@
 
 What was told, and how far the events were read, stands in one file beside the cursor, which is written before a message
 goes out and after it was taken: over a restart nothing is lost, and what was not acknowledged is told once more with
-the same number. It holds no rows back: the retention of the history does not wait for it.
+the same number. Where it cannot be written people are told all the same, and after a restart once more. It holds no
+rows back: the retention of the history does not wait for it.
 """
 
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import structlog
 from pydantic import TypeAdapter
@@ -22,8 +24,8 @@ from daemon.history.database import HistoryError
 from daemon.sinks.alarms.ledger import Condition, Ledger, Limits
 from daemon.sinks.alarms.message import Message, Messenger
 from daemon.sinks.alarms.observing import OF_STATUS, Lasting, asked, of_computer, of_status, worn_models
-from daemon.sinks.alarms.output_track import ALARMING, OutputTrack, Stay
-from daemon.sinks.contract import Progress, SinkError
+from daemon.sinks.alarms.output_track import ALARMING, SETTLED_S, OutputTrack, Stay
+from daemon.sinks.contract import Progress, SinkWaitsError
 from daemon.sinks.outbox import STREAMS, Outbox
 from models.errors import RefusedInputError
 from models.records import OutputState
@@ -91,6 +93,8 @@ class AlarmSink:
         self._known = self._written = watched(self._path)
         self._looked_s = self._computer_s = float("-inf")
         self._computer: tuple[Condition, ...] = ()
+        self._unwritten = ""
+        """Why the file does not hold what is known, '' where it does."""
 
     def open(self, cursor: Cursor) -> Mapping[str, Position]:
         """Return how far the events were read."""
@@ -109,6 +113,8 @@ class AlarmSink:
             self._looked_s = time.monotonic()
         self._save()
         told = self._tell()
+        if self._unwritten:
+            raise SinkWaitsError(self._unwritten)
         if events or told:
             progress.acknowledged(EVENTS.name, Position(row=self._known.row), self._now_utc_s(), sent=told, stored=told)
         return False
@@ -156,14 +162,15 @@ class AlarmSink:
         known = self._known
         lasting = Lasting({(kind, subject): since for kind, subject, since in known.since_utc_s}, now_utc_s)
         status = asked(self._configuration.service.socket)
-        judged = {"fault", "daemon", "disk", "certificate"}
+        judged = {"daemon", "disk", "certificate"}
         if isinstance(status, str):
             found = list(lasting.condition("daemon", "", status, self._alarms.daemon_longer_than_s))
-            lasting.keep(OF_STATUS)
+            lasting.keep(("fault", *OF_STATUS))
             machine_utc_s = now_utc_s
         else:
             found = list(of_status(status, self._configuration, self._alarms, f"sink {self._name}", lasting))
-            judged |= {"hold", *OF_STATUS}
+            found += self._unrecorded(status["output"], lasting)
+            judged |= {"fault", "hold", *OF_STATUS}
             machine_utc_s = float(status["time_utc_s"])
         track, ended = known.track.settled(machine_utc_s)
         ledger = known.ledger
@@ -175,6 +182,12 @@ class AlarmSink:
         ledger = ledger.seen([each for each in found if self._told(each.kind)], judged, now_utc_s)
         since = tuple((*key, since) for key, since in lasting.since_utc_s.items())
         self._known = replace(known, track=track, ledger=ledger, since_utc_s=since)
+
+    def _unrecorded(self, output: Mapping[str, Any], lasting: Lasting) -> Iterator[Condition]:
+        """Yield a FAULT of which the events do not tell, because the store cannot be written."""
+        now = self._known.track.now
+        if output["state"] == OutputState.FAULT and (now is None or now.state != OutputState.FAULT):
+            yield from lasting.condition("fault", "", output["reason"], SETTLED_S)
 
     def _of_computer(self, ledger: Ledger, now_utc_s: float) -> tuple[Condition, ...]:
         if time.monotonic() - self._computer_s >= COMPUTER_S:
@@ -210,15 +223,17 @@ class AlarmSink:
 
     def _save(self) -> None:
         """Replace the file in one step, when it changes."""
+        self._unwritten = ""
         if self._known == self._written:
             return
-        self._path.parent.mkdir(exist_ok=True)
         temporary = self._path.with_name(f".{self._path.name}.{os.getpid()}.tmp")
         try:
+            self._path.parent.mkdir(exist_ok=True)
             temporary.write_bytes(FILE.dump_json(self._known))
             temporary.replace(self._path)
         except OSError as error:
-            raise SinkError(f"sink {self._name}: {self._path} cannot be written ({error.strerror})") from error
+            self._unwritten = f"sink {self._name}: {self._path} cannot be written ({error.strerror})"
+            return
         finally:
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
