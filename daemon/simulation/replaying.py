@@ -28,6 +28,7 @@ from models.recordings.dataset import Recording
 from models.recordings.plausibility import RISES_FROM_DEGC, are_rises
 from models.records import OutputState
 from models.thermal.family import model_from_json
+from models.thermal.model import MACHINE
 from models.thermal.training.inputs import with_sensors
 from models.thermal.training.making import sensor_ids_from_names
 from models.units import TMP102_DEGC_PER_LSB
@@ -278,7 +279,7 @@ def replay_machine(recording: Recording, model_file: Path, record_file: Path) ->
     macros = _macro_map(tuple(axes))
     record_file.write_text(json.dumps(_commissioning(macros)), encoding="utf-8")
     return {
-        "machine": f"recording {recording.name}",
+        "machine": _trained_on(model_file) or f"recording {recording.name}",
         "temperatures": {
             "lines": [
                 {
@@ -309,6 +310,14 @@ def replay_machine(recording: Recording, model_file: Path, record_file: Path) ->
             "output": {"safe_sequence_numbers": [900]},
         },
     }
+
+
+def _trained_on(path: Path) -> str:
+    """Return the machine that a model was trained on; '' where it names none, or `modelled` says what is wrong."""
+    try:
+        return str(model_from_json(path.read_bytes(), str(path)).hyper_parameters.get(MACHINE, ""))
+    except (OSError, ModelError):
+        return ""
 
 
 def allowed_change_k(recording: Recording, cycle_s: float) -> tuple[float, str]:

@@ -11,10 +11,13 @@ from small_model import model
 
 from config.loader import parse_yaml_model
 from config.schema.compensation import AxisConfig
+from daemon.model_release.gate import machine_inhibit
 from daemon.simulation.processes import write_simulation_configuration
 from daemon.simulation.replaying import axis_names, map_of, modelled, replay_machine
 from drivers.sim.machine.recorded import LEAD_IN_S, RecordedMachine
 from models.recordings.dataset import Recording
+from models.thermal.family import model_from_json
+from models.thermal.model import MACHINE
 
 CHANNELS = ("Weg Z [µm]", "Weg Z (µm)", '1st, "front"', "Z1")
 
@@ -92,6 +95,17 @@ def test_a_recording_without_usual_names_is_refused_with_its_file_and_what_to_do
     (path := tmp_path / "tag.csv").write_text("Zeit;Temp\n0;1\n", encoding="utf-8")
     with pytest.raises(ValueError, match=r"tag\.csv: time: no column carries a usual name .*--map-out map\.yaml"):
         map_of(path, None)
+
+
+def test_a_model_of_a_machine_with_a_name_is_played_as_on_that_machine(tmp_path: Path) -> None:
+    """A recording that the daemon exported names its machine, the model too, and the daemon refuses it on any other."""
+    names = tuple(f"T{number}" for number in SENSOR_IDS)
+    (path := tmp_path / "model.json").write_text(
+        model(sensor_names=names, hyper_parameters={MACHINE: "mill 7"}).to_json(), encoding="utf-8"
+    )
+    machine = replay_machine(recording(), path, tmp_path / "commissioning.json")
+    _, configuration = write_simulation_configuration(machine, tmp_path, speed=100.0)
+    assert machine_inhibit(model_from_json(path.read_bytes(), "model"), configuration) == ""
 
 
 def test_sensors_have_the_numbers_that_their_columns_say(tmp_path: Path) -> None:
