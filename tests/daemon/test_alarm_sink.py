@@ -205,6 +205,7 @@ async def test_a_disk_that_takes_nothing_more_keeps_no_alarm_back(tmp_path: Path
         def wait(_duration_s: float) -> None:
             waits.append(it.runner.cursor.problem)
             if len(waits) == 3:
+                assert len(it.posts.taken) == 1
                 for each in in_the_way:
                     each.rmdir()
             if len(waits) == 5:
