@@ -68,7 +68,9 @@ class Broker:
         self._connected = False
         self._lost = ""
         self._at_once = AT_ONCE
-        self._acknowledged, self._nobody = 0, 0
+        self._acknowledged: set[int] = set()
+        """Numbers of messages; the library tells those of such as have no acknowledgement too, when they went out."""
+        self._nobody = 0
         self._refused: tuple[int, int, str] | None = None
         """Number of the message, code and words of the last refusal."""
         self._granted: ReasonCode | None = None
@@ -112,8 +114,8 @@ class Broker:
 
     def _publish(self, messages: list[Message]) -> bool:
         with self._changed:
-            self._acknowledged = self._nobody = 0
-            self._refused = None
+            self._acknowledged.clear()
+            self._nobody, self._refused = 0, None
         topics = {
             self._client.publish(
                 each.topic, each.payload, each.qos, each.retain, _properties(each.store)
@@ -121,9 +123,11 @@ class Broker:
             for each in messages
         }
         with self._changed:
-            while self._acknowledged < len(messages) and not self._lost:
-                before = self._acknowledged
-                if not self._changed.wait(self._config.timeout_s) and self._acknowledged == before:
+            while not self._lost and not (
+                len(self._acknowledged) >= len(topics) and topics.keys() <= self._acknowledged
+            ):
+                before = len(self._acknowledged)
+                if not self._changed.wait(self._config.timeout_s) and len(self._acknowledged) == before:
                     raise SinkError(f"{self._where}: {no_acknowledgement(self._config)}")
             if self._refused is not None:
                 number, code, name = self._refused
@@ -215,7 +219,7 @@ class Broker:
 
     def _on_publish(self, _client: Any, _data: Any, number: int, code: ReasonCode, _properties: Any) -> None:
         with self._told():
-            self._acknowledged += 1
+            self._acknowledged.add(number)
             self._nobody += code.value == NOBODY
             if code.is_failure:
                 self._refused = number, code.value, str(code)

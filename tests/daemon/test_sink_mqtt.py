@@ -29,6 +29,7 @@ from config.schema.sinks import SinkConfig
 from daemon.history import HistoryWriter, housekeeping
 from daemon.history.cursors import Cursor, cursor_path
 from daemon.sinks.ahead import Ahead
+from daemon.sinks.broker import Broker, Message
 from daemon.sinks.contract import Progress, SinkError
 from daemon.sinks.current import SILENT_AFTER_S, Freshness, current_values
 from daemon.sinks.discovery import BY_NAME, discovery, entities
@@ -464,6 +465,29 @@ def test_who_may_publish_is_not_refused(guarded: int, tmp_path: Path) -> None:
     (tmp_path / "password").write_text("lathe 7\n")
     known = {"user_name": "plant", "password_file": tmp_path / "password", "history": [], "discovery": None}
     assert send(section(guarded, **known), store).problem == ""
+
+
+def test_an_answer_to_another_computer_is_not_taken_for_an_acknowledgement(guarded: int, tmp_path: Path) -> None:
+    """While it says again and again whose the name is, each refusal of the broker is still noticed."""
+    (tmp_path / "password").write_text("lathe 7\n")
+    config = section(guarded, user_name="plant", password_file=tmp_path / "password").mqtt
+    broker, stop = Broker(config, "broker", "answering"), threading.Event()
+
+    def answer() -> None:
+        while not stop.wait(0.0005):
+            broker.send(Message(topic=f"{BASE}/store", payload=b"taken 1", qos=0))
+
+    thread = threading.Thread(target=answer)
+    broker.connect(Message(topic=f"{BASE}/status", payload=b"offline"))
+    thread.start()
+    try:
+        for _ in range(50):
+            with pytest.raises(SinkError, match="`user_name` may not publish to forbidden"):
+                broker.publish([Message(topic=topic, payload=b"row") for topic in (f"{BASE}/row", "forbidden")])
+    finally:
+        stop.set()
+        thread.join()
+        broker.close()
 
 
 def test_two_senders_of_one_name_are_told(port: int, tmp_path: Path) -> None:

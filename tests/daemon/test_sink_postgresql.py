@@ -5,6 +5,7 @@ import itertools
 import json
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -699,6 +700,55 @@ def test_a_role_that_is_kept_out_is_not_taken_for_one_that_is_unknown(
         finally:
             connection.execute("GRANT CONNECT ON DATABASE toolpoint TO PUBLIC")
             connection.execute(f"ALTER {back}")
+
+
+@pytest.mark.parametrize("tls", [True, False])
+def test_a_server_of_another_kind_is_named(server: Server, tmp_path: Path, tls: bool) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+
+        def answer() -> None:
+            connection, _ = listening.accept()
+            with connection:
+                connection.recv(1000)
+                connection.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        database = Database(PostgresqlConfig(host="127.0.0.1", port=listening.getsockname()[1], tls=tls), "there", "x")
+        with pytest.raises(SinkError, match="what answers there is no PostgreSQL: check `host` and `port`"):
+            database.open()
+        thread.join()
+
+
+def test_a_database_that_is_closed_and_a_table_that_is_locked_are_named(server: Server, tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.1)
+    with server.connection("postgres") as connection:
+        connection.execute("ALTER DATABASE toolpoint ALLOW_CONNECTIONS false")
+        try:
+            assert "`database` is closed to everybody" in send(server, tmp_path, store).problem
+        finally:
+            connection.execute("ALTER DATABASE toolpoint ALLOW_CONNECTIONS true")
+    assert send(server, tmp_path, store).problem == ""
+    with server.connection() as connection, connection.transaction():
+        connection.execute("LOCK TABLE toolpoint.schema_versions")
+        assert "somebody keeps a table locked" in send(server, tmp_path, store, timeout_s=0.1).problem
+
+
+@pytest.mark.parametrize("encoded", ["LATIN1"], indirect=True)
+def test_a_database_of_before_that_cannot_hold_a_text_says_what_to_do(
+    server: Server, tmp_path: Path, encoded: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.1)
+    with monkeypatch.context() as earlier:
+        earlier.setattr("daemon.sinks.database.ENCODINGS", ("LATIN1",))
+        assert send(server, tmp_path, store, database=encoded).problem == ""
+    writer = HistoryWriter(store, clock=StillClock(), machine=SMALL)
+    writer.start()
+    writer.event("note", "長").result(30.0)
+    writer.close()
+    assert "this `database` cannot hold every text" in send(server, tmp_path, store, database=encoded).problem
 
 
 def test_the_section_says_which_library_is_loaded() -> None:
