@@ -261,7 +261,7 @@ class PlantStore:
         database, subscription = Database(there, where, STORE), Subscription(self._config.mqtt)
         self._twins = Twins()  # what was not acknowledged comes again, in its order
         try:
-            database.open()
+            self._open(database)
             subscription.open()
             log.info("store.works", broker=self._config.mqtt.host, database=there.host)
             while not self._stop.is_set():
@@ -273,6 +273,22 @@ class PlantStore:
         finally:
             subscription.close()
             database.close()
+
+    def _open(self, database: Database) -> None:
+        """Open the database; the service manager would end a process that says nothing while its tables change."""
+        opened = threading.Event()
+
+        def tell() -> None:
+            while not opened.wait(TELL_PERIOD_S):
+                self._tell("opens the database; where a new version changes its tables, that may take long")
+
+        thread = threading.Thread(target=tell, name="opening", daemon=True)
+        thread.start()
+        try:
+            database.open()
+        finally:
+            opened.set()
+            thread.join()
 
     def _works(self) -> None:
         if time.monotonic() - self._told_s >= TELL_PERIOD_S:

@@ -83,7 +83,7 @@ def test_what_is_no_row_is_refused_with_the_field(topic: str, payload: object, s
 
 def test_what_is_text_is_text_in_the_database_and_what_is_json_is_json_in_a_message() -> None:
     script = "".join(text for _, text in scripts())
-    texts = set(re.findall(r"(\w+) text\b", script)) - {"machine", "stream", "generation"}
+    texts = set(re.findall(r"(\w+) text\b", script)) - {"machine", "stream", "generation", "computer"}
     assert texts == TEXTS
     assert set(re.findall(r"(\w+) jsonb\b", script)) == JSON_COLUMNS
 
@@ -255,6 +255,26 @@ def test_a_store_that_cannot_store_says_why_and_its_status_ends_with_1(server: S
         assert done.exit_code == 0, done.output
         (found,) = [each for each in json.loads(done.stdout)["machines"] if each["machine"] == "mill 9"]
         assert 180.0 <= found["late_s"] < 3600.0
+
+
+def test_a_store_whose_tables_change_for_long_is_not_ended_by_its_watchdog(
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An index on a table of years takes longer than the service manager waits for a word."""
+    stop, told = threading.Event(), []
+
+    def tell(status: str) -> None:
+        told.append(status)
+        if status.startswith("cannot store"):
+            stop.set()
+
+    server.empty()
+    slow = (scripts()[-1][0] + 1, "SELECT pg_sleep(2)")
+    monkeypatch.setattr("daemon.sinks.database.scripts", lambda: [*scripts(), slow])
+    monkeypatch.setattr("daemon.sinks.plant_store.TELL_PERIOD_S", 0.2)
+    PlantStore(section(server, free_port(), tmp_path), stop, tell).run()
+    assert len(told) >= 5 and "changes its tables" in told[0] and told[-1].startswith("cannot store"), told
+    server.empty()
 
 
 def test_a_store_that_the_broker_does_not_let_read_says_what_to_look_at(server: Server, tmp_path: Path) -> None:
