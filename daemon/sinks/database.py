@@ -194,6 +194,7 @@ class Database:
             application_name=self._application,
             client_encoding="UTF8",  # else that of the database, which may be none (SQL_ASCII)
             autocommit=True,
+            prepare_threshold=None,  # behind a pooler another connection may have statements of the same names
             **tls,
         )
         # Not as `options` of the connection: a pooler (PgBouncer) leaves those out.
