@@ -291,7 +291,7 @@ class SinkConfig(SectionOfDriver):
     def place(self) -> str:
         """Where it is, for people."""
         if self.parquet is not None:
-            return re.sub(r"//.*@", "//...@", self.parquet.folder)  # keys may stand in an address
+            return re.sub("key=[^&]*", "key=...", re.sub("//.*@", "//...@", self.parquet.folder))  # it may hold keys
         if self.mqtt is not None:
             return f"{self.mqtt.host}:{self.mqtt.server_port}/{self.mqtt.topic}"
         if self.sparkplug is not None:

@@ -60,7 +60,8 @@ class ParquetSink:
     def __init__(self, config: SinkConfig, machine: str, now_utc_s: Callable[[], float] = time.time) -> None:
         assert config.parquet is not None
         self._config, self._machine, self._now_utc_s = config.parquet, machine, now_utc_s
-        self._where = f"sink {config.name}: {config.place}"
+        self._place = config.place
+        self._where = f"sink {config.name}: {self._place}"
         self._files: _Files | None = None
         self._look_after_s = float("-inf")
 
@@ -70,7 +71,10 @@ class ParquetSink:
         try:
             self._files = _Folder(Path(folder)) if folder.startswith("/") else _ObjectStore(folder)
         except (OSError, ValueError) as error:
-            raise SinkError(f"{self._where} cannot be reached: {error}") from error
+            why = str(error).replace(folder, self._place)
+            if "parse URI" in why:
+                why += ": in a key, / is written %2F and + %2B; better put the keys into the unit's environment"
+            raise SinkError(f"{self._where} cannot be reached: {why}") from None
         return cursor.positions
 
     def close(self) -> None:

@@ -326,6 +326,24 @@ def test_an_object_store_that_refuses_is_named_without_its_keys(tmp_path: Path, 
     assert runner.cursor.sent_rows == 0
 
 
+@pytest.mark.parametrize(
+    ("folder", "said"),
+    [
+        ("s3://AKIA:ab/SECRET+x@plant/history", "/ is written %2F and + %2B"),
+        ("s3://AKIA:ab%zzSECRET@plant/history?region=x", "/ is written %2F and + %2B"),
+        ("s3://plant/history?access_key=AKIA&secret_key=SECRET&region=x", "Unexpected query parameter"),
+    ],
+)
+def test_an_address_that_is_none_is_named_without_its_keys(tmp_path: Path, folder: str, said: str) -> None:
+    """Every second key of Amazon's has a / or + in it, which an address holds in another form only."""
+    section = SinkConfig.model_validate({"name": "files", "driver": "parquet", "parquet": {"folder": folder}})
+    with pytest.raises(SinkError) as refused:
+        ParquetSink(section, MACHINE).open(Cursor())
+    assert said in str(refused.value) and "plant/history" in section.place
+    for shown in (str(refused.value), section.place):
+        assert "SECRET" not in shown and "AKIA" not in shown
+
+
 def test_the_examples_of_the_page_run_on_the_files(tmp_path: Path) -> None:
     duckdb = pytest.importorskip("duckdb", reason="duckdb is not installed")
     store, folder = tmp_path / "h.sqlite", tmp_path / "history"
