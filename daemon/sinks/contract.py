@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from daemon.history.cursors import Cursor, Position
 from daemon.sinks.outbox import Batch, Outbox
@@ -29,6 +29,15 @@ class Sink(Protocol):
 
     def close(self) -> None:
         """Let go of the system."""
+        ...
+
+
+@runtime_checkable
+class Watch(Sink, Protocol):
+    """A sink that has something to tell without the store too."""
+
+    def look_on(self) -> None:
+        """Look and tell while the store cannot be read; raises SinkError."""
         ...
 
 

@@ -18,7 +18,7 @@ from config.schema import Configuration
 from config.schema.sinks import SinkConfig
 from daemon.history.cursors import Cursor, Position, cursor_path
 from daemon.history.database import HistoryError
-from daemon.sinks.contract import Progress, Sink, SinkError, SinkWaitsError
+from daemon.sinks.contract import Progress, Sink, SinkError, SinkWaitsError, Watch
 from daemon.sinks.outbox import STREAMS, Outbox
 from daemon.sinks.watching import lately, lock_path, runs, silence
 
@@ -125,8 +125,9 @@ class SinkRunner:
 
     def _session(self) -> None:
         """Connect, then send until something fails or the end."""
-        with Outbox(self._store) as outbox:
-            self._begin_anew_where_needed(outbox)
+        if self._config.alarms is None:
+            with Outbox(self._store) as outbox:
+                self._begin_anew_where_needed(outbox)
         sink = self._open_sink(self._config, self._machine)
         try:
             there = dict(sink.open(self.cursor))
@@ -139,6 +140,11 @@ class SinkRunner:
                         more = sink.transfer(outbox, self._progress)
                 except SinkWaitsError as waits:
                     self._note(str(waits))
+                except (HistoryError, sqlite3.Error) as error:
+                    if not isinstance(sink, Watch):
+                        raise
+                    self._note(f"sink {self._config.name}: what happens is not told: {error}")
+                    sink.look_on()
                 else:
                     self._went_well()
                 if not more:
@@ -177,14 +183,15 @@ class SinkRunner:
 
     def _note(self, problem: str) -> None:
         """Say in the cursor and, where it is new, in the log why nothing is sent."""
-        if problem != self._said:
+        new, self._said = problem != self._said, problem
+        if new:
             log.warning("sink.failed", sink=self._config.name, problem=problem)
-        self._said = problem
         self._progress.cursor = replace(self.cursor, problem=problem, alive_utc_s=time.time())
         try:
             self.cursor.write(self._path)
         except OSError as error:
-            log.error("sink.cursor", path=str(self._path), problem=str(error))
+            if new:
+                log.error("sink.cursor", path=str(self._path), problem=str(error))
 
 
 def run_sinks(configuration: Configuration, stop: threading.Event) -> None:

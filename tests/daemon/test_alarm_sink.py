@@ -235,6 +235,37 @@ async def test_a_fault_that_the_store_cannot_record_is_told_and_its_end_too(tmp_
         assert said.startswith("FAULT ended") and await it.look(1e4) == []
 
 
+async def test_a_store_that_cannot_be_read_keeps_no_alarm_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one whose disk is gone: the daemon still says how the machine is."""
+    monkeypatch.setattr(alarm_sink, "LOOK_S", 0.0)
+    async with hall(tmp_path) as it:
+        await it.rig.turn()
+        await it.look()
+        store, away = it.configuration.history.path, tmp_path / "away"
+        await it.rig.history.flushed()
+        store.rename(away)
+        store.mkdir()
+        it.rig.control.journal.raise_fault("why")
+        await it.rig.turn()
+        stop, waits = threading.Event(), []
+
+        def wait(_duration_s: float) -> None:
+            waits.append(it.runner.cursor.problem)
+            it.away_s += 31.0
+            if len(waits) == 5:
+                stop.set()
+
+        it.runner = it.runner_until(stop, wait)
+        await asyncio.to_thread(it.runner.run)
+        said = [alarm["sentence"] for post in it.posts.taken for alarm in post["alarms"]]
+        assert len([each for each in said if each.startswith("FAULT, since") and each.endswith("why")]) == 1, said
+        assert all("what happens is not told: " in problem for problem in waits)
+        store.rmdir()
+        away.rename(store)
+        await it.look()
+        assert it.runner.cursor.problem == ""
+
+
 async def look_at_once(it: Hall, after_s: float = 0.0) -> list[str]:
     it.away_s += after_s
     return await look_without_daemon(it)

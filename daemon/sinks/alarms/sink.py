@@ -7,6 +7,7 @@ rows back: the retention of the history does not wait for it.
 """
 
 import os
+import sqlite3
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
@@ -119,6 +120,14 @@ class AlarmSink:
             progress.acknowledged(EVENTS.name, Position(row=self._known.row), self._now_utc_s(), sent=told, stored=told)
         return False
 
+    def look_on(self) -> None:
+        """Look and tell without the events, while the store cannot be read; raises SinkError."""
+        if time.monotonic() - self._looked_s >= LOOK_S:
+            self._look()
+            self._looked_s = time.monotonic()
+        self._save()
+        self._tell()
+
     def _begin(self, outbox: Outbox, generation: str) -> None:
         """Learn from the latest events where the output is; what is over is not told."""
         last = outbox.last_row(EVENTS)
@@ -204,7 +213,7 @@ class AlarmSink:
         worn: tuple[Condition, ...] = self._known.worn
         try:
             worn = tuple(worn_models(self._configuration, now_utc_s))
-        except (HistoryError, RefusedInputError, OSError) as error:
+        except (HistoryError, RefusedInputError, OSError, sqlite3.Error) as error:
             log.warning("alarms.models_unread", sink=self._name, problem=str(error))
         self._known = replace(self._known, worn=worn, worn_utc_s=now_utc_s)
 
