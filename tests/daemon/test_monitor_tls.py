@@ -112,6 +112,21 @@ async def test_a_certificate_that_was_replaced_counts_from_the_next_connection(t
             await before.get("/api/v1/session")
 
 
+async def test_a_certificate_without_its_key_leaves_the_old_one_in_use_and_is_said(tmp_path, capsys):
+    """A key that is a credential of the service is another only from the next start on."""
+    async with opened(tmp_path, anna="viewer") as bench:
+        key = (tmp_path / "monitor.key").read_bytes()
+        old, new = bench.tls, make_certificate(tmp_path)
+        new_key = (tmp_path / "monitor.key").read_bytes()
+        (tmp_path / "monitor.key").write_bytes(key)
+        for _ in range(2):
+            assert (await bench.browser().get("/api/v1/session")).status == 200
+        assert capsys.readouterr().out.count("certificate_not_taken") == 1, "once for each change"
+        (tmp_path / "monitor.key").write_bytes(new_key)
+        bench.tls = new
+        assert (await bench.browser().get("/api/v1/session")).status == 200 and old is not new
+
+
 async def test_files_that_are_no_certificate_are_named(tmp_path):
     files = {"tls_certificate": tmp_path / "monitor.crt", "tls_key": tmp_path / "monitor.key"}
     for path in files.values():

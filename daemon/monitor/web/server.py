@@ -1,13 +1,13 @@
 """The web server: bounded connections, TLS where it is configured, and nobody who is slow holds a place."""
 
 import asyncio
-import contextlib
 import socket
 import ssl
 from collections.abc import Callable
 from pathlib import Path
 
 import h11
+import structlog
 import uvicorn
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -16,6 +16,8 @@ from uvicorn.server import ServerState
 from daemon.monitor.connections import BoundedConnections, Conversation
 from daemon.monitor.web.gate import CLOSE, HEADERS
 from daemon.monitor.web.problems import problem_response
+
+log = structlog.get_logger(__name__)
 
 HEAD_S = 10.0
 """A request's head must have arrived within this [s]."""
@@ -94,25 +96,37 @@ class _Connection(H11Protocol):
 
 
 class Certificate:
-    """The certificate of the monitor; one that was replaced on the disk counts from the next connection on."""
+    """The certificate of the monitor; one that was replaced on the disk counts from the next connection on.
+
+    One that does not fit the key, such as a new one before its key is there, leaves the old one in use.
+    """
 
     def __init__(self, certificate: Path, key: Path) -> None:
         """Raise OSError where the files cannot be read or are no certificate and key."""
         self._certificate, self._key = certificate, key
-        self.context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-        self.context.minimum_version = ssl.TLSVersion.TLSv1_2
         self._seen = self._stamp()
-        self.context.load_cert_chain(certificate, key)
+        self.context = self._loaded()
 
-    def _stamp(self) -> tuple[int, int]:
-        return self._certificate.stat().st_mtime_ns, self._key.stat().st_mtime_ns
+    def _loaded(self) -> ssl.SSLContext:
+        context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+        context.minimum_version = ssl.TLSVersion.TLSv1_2
+        context.load_cert_chain(self._certificate, self._key)
+        return context
+
+    def _stamp(self) -> tuple[int, int] | None:
+        try:
+            return self._certificate.stat().st_mtime_ns, self._key.stat().st_mtime_ns
+        except OSError:
+            return None
 
     def now(self) -> ssl.SSLContext:
         """Return the context for a new connection."""
-        with contextlib.suppress(OSError):
+        try:
             if (stamp := self._stamp()) != self._seen:
-                self.context.load_cert_chain(self._certificate, self._key)
                 self._seen = stamp
+                self.context = self._loaded()
+        except OSError as error:
+            log.warning("monitor.certificate_not_taken", file=str(self._certificate), problem=str(error))
         return self.context
 
 
