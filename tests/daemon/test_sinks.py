@@ -14,11 +14,13 @@ from pathlib import Path
 import history_records as make
 import numpy as np
 import pytest
+import yaml
 from click.testing import CliRunner
 from control_rig import machine
 from filled_store import fill
 from history_records import EPOCH_S, SMALL, StillClock
 
+from config.sample import sample_configuration
 from config.schema import Configuration
 from config.schema.service import HistoryConfig
 from config.schema.sinks import SinkConfig
@@ -310,6 +312,19 @@ def test_a_second_process_is_refused(tmp_path: Path) -> None:
     finally:
         stop.set()
         first.join()
+
+
+def test_what_keeps_the_command_from_starting_for_a_while_ends_it_with_1(tmp_path: Path) -> None:
+    """With 2 the unit would stay down for good: a disk that is read-only at the start is mounted again later."""
+    path = tmp_path / "t.yaml"
+    (tmp_path / "store").write_text("a file in the way")
+    sinks = [{"name": "files", "driver": "parquet", "parquet": {"folder": str(tmp_path)}}]
+    document = yaml.safe_load(sample_configuration())
+    document |= {"history": {"path": str(tmp_path / "store/h.sqlite")}, "sinks": sinks}
+    path.write_text(yaml.safe_dump(document))
+    words = [sys.executable, "-P", "-m", "daemon.cli", "sink", "run", "--config", str(path)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and "cannot be written" in done.stderr and "Traceback" not in done.stderr
 
 
 def test_the_command_without_the_section_says_where_to_read(tmp_path: Path) -> None:

@@ -11,9 +11,12 @@ import click
 
 from config.schema import Configuration
 from daemon.cli.common import config_option, json_option, read_configuration, refuse, write_json
+from daemon.history.database import HistoryError
 from daemon.sinks.running import run_sinks, sink_status
 from daemon.telemetry.logs import configure_logging
 from daemon.telemetry.sd_notify import ServiceManager
+
+NOT_SENT = 1
 
 
 @click.group()
@@ -24,14 +27,20 @@ def sink() -> None:
 @sink.command()
 @config_option
 def run(config_path: Path) -> None:
-    """Send what the history holds to every sink until SIGTERM or Ctrl-C, beside the daemon or without it."""
+    """Send what the history holds to every sink until SIGTERM or Ctrl-C, beside the daemon or without it.
+
+    Exit status 1 when another process does so already, or the store's folder cannot be written.
+    """
     configuration = _with_sinks(config_path)
     configure_logging(configuration.service.log_level)
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     ServiceManager().ready("sending")
-    run_sinks(configuration, stop)
+    try:
+        run_sinks(configuration, stop)
+    except HistoryError as error:
+        refuse(str(error), NOT_SENT)  # that passes, so the service manager starts this again
 
 
 @sink.command()
