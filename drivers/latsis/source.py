@@ -130,11 +130,15 @@ class LatsisSerialSource:
         self._on_line_timer(loop)
 
     def _on_line_timer(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Have the line checked, and again after a cycle period."""
+        """Have the line checked, and again after a cycle period, or when it is silent for too long before that."""
         self._check_due = True
         self._wake.set()
-        delay_s = max(self._line.cycle_period_s / self._clock.speed, MIN_CHECK_REAL_S)
-        self._line_check = loop.call_later(delay_s, self._on_line_timer, loop)
+        now = self._clock.now()
+        left_s = self._dead_line_s - (now.monotonic_s - self._last_frame.monotonic_s)
+        left_real_s = max(left_s / self._clock.speed, MIN_DEAD_LINE_REAL_S - (now.real_s - self._last_frame.real_s))
+        delay_s = self._line.cycle_period_s / self._clock.speed
+        delay_s = min(delay_s, left_real_s + CHECK_MARGIN_REAL_S) if left_real_s > 0 else delay_s
+        self._line_check = loop.call_later(max(delay_s, MIN_CHECK_REAL_S), self._on_line_timer, loop)
 
     def _on_pass_timer(self) -> None:
         """Have the pass under way checked."""
@@ -161,6 +165,11 @@ class LatsisSerialSource:
                 return cycles
             raise item
         data, arrived = item
+        if stood_s := self._overdue_s(arrived):  # the timer has given up a line that was silent for so long already
+            raise LinkError(
+                f"line {self.name}: this computer stood still for up to {stood_s:.0f} s, and nobody knows how old "
+                "is what came meanwhile: see what stopped the daemon (a debugger, memory, a paused virtual machine)"
+            )
         self._bytes_taken += len(data)
         frames = self._assembler.frames
         cycles = self._assembler.feed(data, arrived)
@@ -189,11 +198,16 @@ class LatsisSerialSource:
             return []
         self._check_due = False
         now = self._clock.now()
-        quiet_s = now.monotonic_s - self._last_frame.monotonic_s
-        if quiet_s > self._dead_line_s and now.real_s - self._last_frame.real_s > MIN_DEAD_LINE_REAL_S:
+        if quiet_s := self._overdue_s(now):
             self._inbox.append(LinkError(self._why_dead(now, quiet_s)))
             self._wake.set()
         return self._assembler.poll(now)
+
+    def _overdue_s(self, now: Instant) -> float:
+        """Return for how long no frame has come, where that is too long [s]; else 0."""
+        quiet_s = now.monotonic_s - self._last_frame.monotonic_s
+        real_s = now.real_s - self._last_frame.real_s
+        return quiet_s if quiet_s > self._dead_line_s and real_s > MIN_DEAD_LINE_REAL_S else 0.0
 
     def _why_dead(self, now: Instant, quiet_s: float) -> str:
         where = f"line {self.name}: port {self._line.port}"

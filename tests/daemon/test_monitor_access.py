@@ -107,7 +107,7 @@ async def test_an_action_needs_the_sessions_token_and_our_own_page(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "host", ["evil.example", "evil.example:9464", "127.0.0.1.evil.example", "", "localhost.", "[::2]"]
+    "host", ["evil.example", "evil.example:9464", "127.0.0.1.evil.example", "", "localhost.", "[::2]", "[", "[::1"]
 )
 async def test_a_foreign_host_name_is_refused_so_that_no_page_reads_by_rebinding(tmp_path, host):
     async with monitor(tmp_path) as bench:
@@ -191,7 +191,8 @@ async def test_basic_authorisation_reads_and_never_acts(tmp_path):
         words = {"authorization": "Basic " + base64.b64encode(f"anna:{PASSWORD}".encode()).decode()}
         assert (await browser.get("/api/v1/status", **words)).json["state"] == "OFF"
         assert (await browser.ask("POST", "/api/v1/disable", {}, words)).status == 401
-        assert (await browser.get("/api/v1/status", authorization="Basic !!!")).status == 401
+        for given in ("Basic !!!", "Basic \xe9\xe9", "Basic 6Q=="):
+            assert (await browser.get("/api/v1/status", authorization=given)).status == 401
         assert (await browser.get("/api/v1/status", authorization="Bearer x")).status == 401
 
 

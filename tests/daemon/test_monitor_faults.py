@@ -6,10 +6,12 @@ import json
 import socket
 
 import pytest
+import structlog
 from monitor_bench import monitor
 
 from daemon.monitor import connections
 from daemon.monitor.web import gate, live, recorded, server
+from daemon.rate_limit import BURST
 
 HEAD = b"GET %s HTTP/1.1\r\nHost: localhost\r\n\r\n"
 
@@ -191,6 +193,16 @@ async def test_a_defect_in_a_route_is_a_500_and_the_next_request_is_answered(tmp
             answer = await bench.browser().get("/api/v1/sensors")
             assert answer.status == 500 and "The control goes on without it" in answer.detail
         assert (await bench.browser().get("/api/v1/sensors")).status == 200
+
+
+async def test_a_defect_that_is_asked_for_again_and_again_does_not_fill_the_log(tmp_path, monkeypatch):
+    async with monitor(tmp_path) as bench:
+        monkeypatch.setattr(bench.parts.documents, "sensors", lambda: 1 / 0)
+        with structlog.testing.capture_logs() as logs:
+            for _ in range(BURST + 5):
+                assert (await bench.browser().get("/api/v1/sensors")).status == 500
+        told = [each for each in logs if each["event"] == "request.defect"]
+        assert len(told) == BURST and isinstance(told[0]["exc_info"], ZeroDivisionError)
 
 
 @pytest.mark.parametrize(

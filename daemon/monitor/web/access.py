@@ -1,7 +1,6 @@
 """Who may look and who may act: accounts, logins, sessions, and the checks of every request."""
 
 import base64
-import binascii
 import hashlib
 import hmac
 import ipaddress
@@ -186,7 +185,7 @@ def _basic(request: Request) -> tuple[str, str] | None:
         return None
     try:
         name, _, password = base64.b64decode(value, validate=True).decode().partition(":")
-    except (binascii.Error, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise ProblemError(401, "the header Authorization is no HTTP Basic") from error
     return name, password
 

@@ -12,6 +12,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from daemon.monitor.web.access import is_local_name
 from daemon.monitor.web.problems import ProblemError, problem_response
+from daemon.rate_limit import RateLimit
 
 log = structlog.get_logger(__name__)
 
@@ -47,6 +48,7 @@ class Gate:
     def __init__(self, app: ASGIApp, names: Collection[str]) -> None:
         """`names`: by which the monitor is reached, beside those of this computer itself."""
         self._app, self._names = app, frozenset(name.lower() for name in names)
+        self._defect = RateLimit[tuple[str, Exception]](_log_defect)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -74,16 +76,17 @@ class Gate:
                 await problem_response(error.status, error.detail, error.headers)(scope, receive, timed_send)
         except TooSlowError:
             _abort(scope)
-        except Exception:  # a defect in an answer: its traceback is logged, this connection ends, the server goes on
-            log.exception("request.defect", path=scope["path"])
+        except Exception as error:  # a defect in an answer: it is logged, this connection ends, the server goes on
+            self._defect((scope["path"], error))
             if not complete:
                 _abort(scope)
 
     def _refused(self, scope: Scope) -> str:
         """Return why a request is none of ours, '' when it is."""
         headers = Headers(scope=scope)
-        host = headers.get("host", "")
-        name = urlsplit(f"//{host}").hostname or ""
+        host, name = headers.get("host", ""), ""
+        with suppress(ValueError):  # of half an IPv6 address, which is no name of ours
+            name = urlsplit(f"//{host}").hostname or ""
         if not (is_local_name(name) or name in self._names):
             return (
                 f"this monitor is not called {name[:80]!r}; use localhost, an address or a name of its certificate "
@@ -98,6 +101,11 @@ class Gate:
         if origin is not None and origin != f"{scope['scheme']}://{host}":
             return f"a page of {origin[:80]} has sent this request; only the monitor's own pages may act"
         return ""
+
+
+def _log_defect(defect: tuple[str, Exception], left_out: int) -> None:
+    path, error = defect
+    log.error("request.defect", path=path, exc_info=error, **({"left_out": left_out} if left_out else {}))
 
 
 def _abort(scope: Scope) -> None:
