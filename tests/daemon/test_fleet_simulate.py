@@ -12,7 +12,8 @@ from postgresql import PASSWORD, Server, postgresql
 from daemon.cli import main
 from daemon.simulation import SimulationError
 from daemon.simulation.fleet.counting import count_rows
-from daemon.simulation.fleet.run import SINK, broker_of, plan_of, route_of, simulate_fleet
+from daemon.simulation.fleet.machines import FleetPlan
+from daemon.simulation.fleet.run import SINK, _counted, broker_of, plan_of, route_of, simulate_fleet
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +83,12 @@ def test_the_command_says_what_arrived(server: Server, tmp_path: Path) -> None:
 def test_a_database_that_cannot_be_used_is_refused(dsn: str, said: str) -> None:
     done = CliRunner().invoke(main, ["fleet", "simulate", "--postgres", dsn])
     assert done.exit_code == 2 and said in done.output
+
+
+def test_a_database_that_is_gone_at_the_end_is_said(tmp_path: Path) -> None:
+    plan = FleetPlan(folder=tmp_path, machines=1, minutes=1.0, speed=1.0, start_utc_s=0.0)
+    with pytest.raises(SimulationError, match=r"--postgres: what arrived cannot be counted: .* port 1 failed"):
+        _counted(plan, "host=127.0.0.1 port=1")
 
 
 @pytest.mark.parametrize(("url", "said"), [("mqtt://[::1", "Invalid IPv6"), ("mqtt://@db", "user_name: ")])

@@ -331,11 +331,9 @@ def simulate_fleet(
         say(f"{recorded.rows} rows recorded; waiting for the senders")
         waiting = _all_taken(plan, keeper)
         _all_stored(plan, route, recorded.rows)
-    with psycopg.connect(route.dsn, autocommit=True) as connection:
-        rows = count_rows(plan, connection, SINK)
     return FleetResult(
         plan=plan,
-        rows=rows,
+        rows=_counted(plan, route.dsn),
         recorded=recorded.rows,
         dropped=recorded.dropped,
         behind_s=recorded.behind_s,
@@ -354,6 +352,15 @@ def _received(connection: Connection, process: BaseProcess, keeper: Keeper | Non
     except EOFError:
         process.join()
         raise SimulationError("the process of the machines ended early; what it said stands above") from None
+
+
+def _counted(plan: FleetPlan, dsn: str) -> Rows:
+    try:
+        with psycopg.connect(dsn, autocommit=True, connect_timeout=10) as connection:
+            return count_rows(plan, connection, SINK)
+    except psycopg.Error as error:
+        why = " ".join(str(error).split())
+        raise SimulationError(f"--postgres: what arrived cannot be counted: {why}") from error
 
 
 def _all_taken(plan: FleetPlan, keeper: Keeper) -> int:
