@@ -17,7 +17,7 @@ COMMISSIONING_NAME = "commissioning/record.json"
 MODEL_NAME = "models/model.json"
 RELEASES_NAME = "models/releases"
 LEFT_OUT = (
-    "the CNC's password, private keys and certificates: keep those apart, or make new ones",
+    "passwords, accounts, keys, certificates and changes of the units: keep those apart, or make new ones",
     "the program itself: install the version named here",
 )
 

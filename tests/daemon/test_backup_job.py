@@ -151,6 +151,9 @@ def test_the_commands(installation):
     config = ("--config", str(installation.config_path))
     nowhere = toolpoint("backup", *config)
     assert nowhere.exit_code == 2 and "history.backup.directory" in nowhere.output
+    away = toolpoint("backup", str(installation.folder / "stick"), *config)
+    assert away.exit_code == 1 and f"{installation.folder / 'stick'}: there is no such folder; mount it" in away.output
+    assert not (installation.folder / "stick").exists()
     made = toolpoint("backup", str(installation.folder / "b.tar"), *config, "--json", str(installation.folder / "j"))
     said = json.loads((installation.folder / "j").read_text(encoding="utf-8"))
     assert made.exit_code == 0 and said["manifest"]["machine"] == "Mill 7 (hall)"

@@ -24,8 +24,8 @@ FAILED = 1
 def backup(destination: Path | None, keep: int | None, config_path: Path, json_path: str | None) -> None:
     """Write history, configuration, models, commissioning record and last block into one tar.
 
-    DESTINATION is a new file, or a folder, in which the back-up gets a name of its own; without it,
-    history.backup.directory. The daemon may run. Passwords and keys are not in it.
+    DESTINATION is a new file whose name ends in .tar, or a folder, in which the back-up gets a name of its own; without
+    it, history.backup.directory. The daemon may run. Passwords and keys are not in it.
     """
     from daemon.backup.making import make_backup, remove_old
     from daemon.backup.manifest import BackupError
@@ -44,6 +44,8 @@ def backup(destination: Path | None, keep: int | None, config_path: Path, json_p
         say(f"{destination}: this folder for back-ups cannot be made ({error.strerror})")
         sys.exit(FAILED)
     into_folder = destination.is_dir()
+    if not into_folder and destination.suffix != ".tar":
+        refuse(f"{destination}: there is no such folder; mount it or make it, or name a file that ends in .tar", FAILED)
     name = backup_name(configuration.machine, datetime.now(UTC))
     path = destination / name if into_folder else destination
     try:
