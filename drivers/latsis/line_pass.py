@@ -100,6 +100,8 @@ class LinePass:
 
 RENUMBERED_AFTER_CYCLES = 2
 """So many consecutive passes with the same wrong numbering quarantine the line."""
+EXPLAINED_CYCLES = 30
+"""In so many consecutive passes with the same wrong numbering rejected bytes may explain it: then it is one."""
 RELEASED_AFTER_CYCLES = 3
 """So many consecutive passes with the expected numbering end the quarantine."""
 
@@ -134,12 +136,16 @@ class NumberingWatch:
         self._suspect: tuple[int, frozenset[int], frozenset[int]] | None = None
         self._suspected = 0
         self._as_expected = 0
+        self._announced = self._explained = 0
         self.quarantined = False
         self.alarm: str | None = None
 
     def judge(self, numbering: Numbering) -> bool:
         """Take one pass; return whether its values belong to the sensors that the chain says."""
-        moved = numbering.announced != self._highest and not numbering.explained
+        again = numbering.explained and numbering.announced == self._announced
+        self._announced, self._explained = numbering.announced, self._explained + 1 if again else 0
+        lasts = self._explained >= EXPLAINED_CYCLES
+        moved = numbering.announced != self._highest and (lasts or not numbering.explained)
         if moved or numbering.below or numbering.displaced_kinds:
             self._suspicion(numbering, numbering.announced if moved else self._highest)
             return not (self.quarantined or moved or numbering.displaced_kinds)
@@ -150,7 +156,8 @@ class NumberingWatch:
     def describe(self, numbering: Numbering) -> str:
         """Return in words what is wrong with the numbering of a pass."""
         expected = self._highest - self._lowest + 1
-        if numbering.announced != self._highest and not numbering.explained:
+        otherwise = numbering.below or numbering.displaced_kinds
+        if numbering.announced != self._highest and not (numbering.explained and otherwise):
             count = numbering.announced - self._lowest + 1
             what = (
                 f"its IDs announce {count} sensors where the chain has {expected} "

@@ -1,9 +1,10 @@
 """The numbering of a LATSIS line: when it is not trusted, and when it is trusted again."""
 
 import numpy as np
+import pytest
 from latsis_line import Line, only
 
-from drivers.latsis.line_pass import RELEASED_AFTER_CYCLES, RENUMBERED_AFTER_CYCLES
+from drivers.latsis.line_pass import EXPLAINED_CYCLES, RELEASED_AFTER_CYCLES, RENUMBERED_AFTER_CYCLES
 from models.quality import Reason
 
 
@@ -85,6 +86,29 @@ def test_lost_bytes_at_the_head_of_the_pass_are_no_renumbering() -> None:
         cycle = only(line.send(line.frame(12)[1:], line.frame(11)[:-5], *(line.frame(i) for i in line.ids[2:])))
         line.rest()
         assert line.reasons(cycle) == {12: Reason.NOT_RECEIVED, 11: Reason.NOT_RECEIVED}
+    assert not line.quarantined
+
+
+@pytest.mark.parametrize("profile", ["bare", "checked"])
+def test_noise_ahead_of_every_pass_hides_no_renumbering_for_ever(profile: str) -> None:
+    line = Line(profile=profile)
+    line.one_pass()
+    beside = {i: line.codes[i + 1] for i in line.ids[1:]}  # node 1 is dead, and the others have counted anew
+    for number in range(EXPLAINED_CYCLES + RENUMBERED_AFTER_CYCLES):
+        frames = [line.frame(i, code) for i, code in beside.items()]
+        cycle = only(line.send(b"\x00\x81\x13\x42\x55\x10\x22\x99", *frames) + line.rest())
+        assert (set(line.reasons(cycle).values()) == {Reason.QUARANTINED}) == (number >= EXPLAINED_CYCLES)
+    assert line.quarantined and "sensors where the chain has 12" in cycle.faults[0]
+    assert line.alarm is not None and "have been renumbered or the chain is broken" in line.alarm
+
+
+def test_heads_that_are_lost_now_and_then_are_no_renumbering() -> None:
+    line = Line(profile="checked")
+    line.one_pass()
+    for number in range(3 * EXPLAINED_CYCLES):
+        lost = line.frame(12)[1:] if number % EXPLAINED_CYCLES else line.frame(12)
+        cycle = only(line.send(lost, *(line.frame(i) for i in line.ids[1:])) + line.rest())
+        assert line.good(cycle).items() <= line.expected().items() and len(line.good(cycle)) >= 11
     assert not line.quarantined
 
 
