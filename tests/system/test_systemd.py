@@ -79,6 +79,7 @@ def test_the_daemon_has_a_user_of_its_own_and_the_release_another() -> None:
 def test_the_sinks_read_the_daemons_store_as_its_user_and_come_after_it() -> None:
     assert settings("User", SINK) == settings("User") and settings("StateDirectory", SINK) == settings("StateDirectory")
     assert int(settings("CPUWeight", SINK)[0]) < int(settings("CPUWeight")[0])
+    assert int(settings("Nice")[0]) < 0 < int(settings("Nice", SINK)[0])
     assert int(settings("OOMScoreAdjust", SINK)[0]) > 0 > int(settings("OOMScoreAdjust")[0])
 
 
