@@ -24,8 +24,7 @@ from daemon.compensation.restart import load_resume_point
 from daemon.compensation.snapshot import control_snapshot, output_actions
 from daemon.compensation.task import ControlTask
 from daemon.compensation.temperature_macro import TemperatureMacro
-from daemon.estimation.inputs import poll_of
-from daemon.estimation.snapshot import thermal_snapshot
+from daemon.estimation.inputs import poll_of, thermal_snapshot
 from daemon.estimation.task import Message, ThermalInbox, ThermalTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
@@ -33,7 +32,7 @@ from daemon.housekeeping.jobs import job_snapshots, scheduled_jobs
 from daemon.links import DisplacementLog, Links, Serve
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import LoadedModel, load_released
-from daemon.model_release.reload import ModelReload
+from daemon.model_release.side_load import ModelReload
 from daemon.monitor.commands import CommandDesk
 from daemon.monitor.control_socket import ControlSocket
 from daemon.monitor.status import StatusBoard

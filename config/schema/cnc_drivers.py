@@ -11,8 +11,16 @@ from urllib.parse import urlsplit
 
 from pydantic import BaseModel, Field, model_validator
 
-from config.schema.base import AGENT_PATTERN, ENDPOINT_PATTERN, Host, KeyPath, KeyProblems, MacroNumber, Section
-from config.schema.driver_section import SectionOfDriver
+from config.schema.base import (
+    AGENT_PATTERN,
+    ENDPOINT_PATTERN,
+    Host,
+    KeyPath,
+    KeyProblems,
+    MacroNumber,
+    Section,
+    SectionOfDriver,
+)
 
 Connection = TypeVar("Connection", bound="CncConnection")
 

@@ -17,8 +17,8 @@ from config.schema.base import (
     Name,
     Seconds,
     Section,
+    SectionOfDriver,
 )
-from config.schema.driver_section import SectionOfDriver
 
 
 class PostgresqlConfig(Section):

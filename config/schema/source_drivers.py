@@ -5,8 +5,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from config.schema.base import Name, Seconds
-from config.schema.driver_section import SectionOfDriver
+from config.schema.base import Name, Seconds, SectionOfDriver
 from config.schema.modbus import ModbusConfig
 from config.schema.source_sections import CsvConfig, KernelConfig, MqttConfig, OpcUaTagsConfig, ProcessConfig
 from config.schema.sources import Measured, SourceConnection, SourceSensorConfig

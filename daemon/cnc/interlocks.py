@@ -8,8 +8,7 @@ from config.schema import Configuration
 from daemon.cnc.session import CncSession
 from drivers.clock import Clock
 from drivers.contract import SIMULATED_CNC_IDENTITY, Capability, Cnc
-from models.control.inhibit import Inhibit, InhibitCode
-from models.control.state import OperatorRequest
+from models.control.state import Inhibit, InhibitCode, OperatorRequest
 
 OPTIONAL = (
     Capability.SEQUENCE_NUMBER,

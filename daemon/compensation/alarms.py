@@ -4,8 +4,7 @@ from collections.abc import Iterator
 
 from config.schema.compensation import OutputConfig
 from daemon.cnc.macro_block import Echo
-from models.control.inhibit import Inhibit
-from models.control.state import OutputMemory
+from models.control.state import Inhibit, OutputMemory
 from models.records import CncRun, CncSample, OutputState
 
 REFUSALS = 2

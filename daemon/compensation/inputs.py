@@ -6,10 +6,9 @@ import numpy as np
 
 from daemon.compensation.tool import ToolInSpindle
 from models.control.axis_map import AxisSource, nose_errors_um, probe_wander, tool_terms_um
-from models.control.inhibit import Inhibit
 from models.control.reference import tool_begin_degc
 from models.control.reference_records import ReferenceMemory
-from models.control.state import OperatorRequest, OutputInputs
+from models.control.state import Inhibit, OperatorRequest, OutputInputs
 from models.records import FloatArray, Phase, ThermalErrorEstimate
 
 

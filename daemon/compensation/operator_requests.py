@@ -6,7 +6,7 @@ from functools import partial
 from daemon.cnc.events import Journal
 from daemon.cnc.interlocks import Interlocks, in_words
 from daemon.cnc.session import CncLink
-from daemon.compensation.inbox import Inbox
+from daemon.compensation.parts import Inbox
 from daemon.compensation.references import References, new_id
 from daemon.compensation.restart import StartupRecovery
 from models.control.state import NO_REQUEST, OperatorRequest

@@ -1,5 +1,7 @@
 """The parts of the control task, which the composition root hands in."""
 
+import asyncio
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
@@ -10,11 +12,49 @@ from daemon.cnc.interlocks import Interlocks
 from daemon.cnc.session import CncLink, CncSession
 from daemon.compensation.references import ToThermal
 from daemon.compensation.restart import ResumePoint
+from daemon.estimation.task import Delivery
 from daemon.history.writer import HistoryWriter
 from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
 from models.control.state import OutputLimits
-from models.records import CncSample, MachineTemperatures, Phase
+from models.records import CncSample, DisplacementSample, MachineTemperatures, Phase
+
+Message = Delivery | DisplacementSample | Callable[[], None]
+"""A callable is a person's word, carried out in the control task's stack."""
+
+
+class Inbox:
+    """Messages in the order in which they came; putting one in wakes the control task."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[Message] = deque()
+        self._event = asyncio.Event()
+
+    def __bool__(self) -> bool:
+        return bool(self._waiting)
+
+    def put(self, message: Message) -> None:
+        """Let a message wait, and wake the control task."""
+        self._waiting.append(message)
+        self._event.set()
+
+    def take(self) -> Message:
+        """Return the oldest message; it waits no longer, whatever becomes of it."""
+        return self._waiting.popleft()
+
+    def wake(self) -> None:
+        """Wake the control task without a message."""
+        self._event.set()
+
+    async def woken(self, within_s: float) -> None:
+        """Return when something comes or the time is over [s of the wall clock]."""
+        self._event.clear()
+        if within_s > 0:
+            over = asyncio.get_running_loop().call_later(within_s, self._event.set)
+            try:
+                await self._event.wait()
+            finally:
+                over.cancel()
 
 
 class MacroClient(Protocol):

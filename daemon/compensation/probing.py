@@ -12,8 +12,7 @@ from daemon.compensation.tool import ToolInSpindle
 from daemon.history.writer import HistoryWriter
 from models.control.baseline import probe_inhibit, tool_setting_inhibit
 from models.control.compensation import first_inhibit
-from models.control.inhibit import Inhibit, InhibitCode
-from models.control.state import OutputInputs, OutputLimits, OutputMemory
+from models.control.state import Inhibit, InhibitCode, OutputInputs, OutputLimits, OutputMemory
 from models.records import CncSample, FloatArray, Instant, ProbeSample, ThermalErrorEstimate
 
 LOST = "the link to the CNC was lost before it took effect; ask again"

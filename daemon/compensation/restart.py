@@ -18,8 +18,7 @@ from daemon.state_store.documents import DaemonAlive, OutputFault, WantedAxes
 from daemon.state_store.store import StateStore
 from drivers.clock import Clock
 from models.control.compensation import initial_memory
-from models.control.inhibit import Inhibit, InhibitCode
-from models.control.state import OperatorRequest, OutputMemory
+from models.control.state import Inhibit, InhibitCode, OperatorRequest, OutputMemory
 from models.records import CncSample, FloatArray, Instant, Receipt, Trace, WriteOutcome
 
 log = structlog.get_logger(__name__)

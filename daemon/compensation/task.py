@@ -19,11 +19,10 @@ from daemon.compensation.alarms import GuardWatch, alarm_of
 from daemon.compensation.applied_tracker import EchoWatch
 from daemon.compensation.block_writer import BlockWriter
 from daemon.compensation.handshake import Handshake
-from daemon.compensation.inbox import Inbox, Message
 from daemon.compensation.inputs import OutputView, error_of_tool_point_um, output_inputs
 from daemon.compensation.nc_requests import RequestDesk
 from daemon.compensation.operator_requests import Cadence, Requests
-from daemon.compensation.parts import ControlParts
+from daemon.compensation.parts import ControlParts, Inbox, Message
 from daemon.compensation.probing import MeasuredByNc, OutputNow
 from daemon.compensation.references import References
 from daemon.compensation.restart import StartupRecovery, record_changes
@@ -32,8 +31,7 @@ from daemon.messages import EstimateComing, ReferenceRebased, ReferenceRefused, 
 from daemon.supervisor import raise_when_told_to_end
 from drivers.contract import DriverError, LinkError
 from models.control.compensation import follow_inhibit, step
-from models.control.inhibit import Inhibit
-from models.control.state import NO_REQUEST, OperatorRequest, OutputInputs, OutputMemory
+from models.control.state import NO_REQUEST, Inhibit, OperatorRequest, OutputInputs, OutputMemory
 from models.records import (
     CompensationCommand,
     DisplacementSample,

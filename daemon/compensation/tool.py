@@ -3,9 +3,9 @@
 import math
 
 from daemon.compensation.references import References
-from models.control.inhibit import Inhibit, InhibitCode
 from models.control.reference import TOOL_UNKNOWN_S
 from models.control.reference_records import ToolOrigin, ToolSeen
+from models.control.state import Inhibit, InhibitCode
 from models.records import ThermalErrorEstimate
 
 

@@ -1,11 +1,17 @@
-"""What a thermal model gets behind the temperatures: axis positions where the configuration names some."""
+"""What the thermal task takes beside temperatures, and the snapshot of it that others read."""
 
 from collections.abc import Collection, Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from daemon.messages import SpindleSpeed
+from daemon.snapshots import ThermalSnapshot
 from drivers.contract import Capability, Cnc
 from models.records import CncSample, FloatArray
 from models.thermal.family import ThermalModel
+
+if TYPE_CHECKING:
+    from daemon.estimation.task import ThermalTask
 
 
 def poll_of(sample: CncSample, cnc: Cnc | None) -> SpindleSpeed:
@@ -52,3 +58,19 @@ class NoPositions:
     def trust(self, model: ThermalModel, now_s: float, imputed: Collection[int]) -> tuple[float, str]:
         """Return how far an estimate may be followed for what is known of the positions, 0..1, and why it is not."""
         return 1.0, ""
+
+
+def thermal_snapshot(thermal: "ThermalTask") -> ThermalSnapshot:
+    """Return what has arrived and what is estimated now."""
+    online, following = thermal._online, thermal._next
+    waits = f"{following.model.model_id} makes no estimates yet: {following.waits}" if following is not None else ""
+    return ThermalSnapshot(
+        temperatures=thermal.latest,
+        estimate=thermal.latest_estimate,
+        line_faults=MappingProxyType(dict(thermal.line_faults)),
+        cycles_received=thermal.cycles_received,
+        cycles_incomplete=thermal.cycles_incomplete,
+        estimates=thermal.estimates,
+        model_waits=waits,
+        contributions=online.contributions() if online is not None and thermal.latest_estimate is not None else None,
+    )

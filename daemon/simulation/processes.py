@@ -22,8 +22,8 @@ import yaml
 
 from config.loader import load_configuration
 from config.schema import Configuration
+from config.schema.base import drivers_of
 from config.schema.cnc import CncConfig
-from config.schema.driver_section import drivers_of
 from daemon.monitor.control_socket import ControlClient, DaemonUnreachableError
 from daemon.simulation import SimulationError
 from drivers.contract import SIMULATED_CNC_IDENTITY

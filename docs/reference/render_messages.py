@@ -57,7 +57,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "The estimate and its model": (
         "daemon/estimation",
         "daemon/model_release/loading.py",
-        "daemon/model_release/reload.py",
+        "daemon/model_release/side_load.py",
         "daemon/model_release/side_load.py",
     ),
     "The spindle speed": (

@@ -10,7 +10,7 @@ from typing import Any
 
 from asyncua.crypto import uacrypto
 
-from drivers.opcua.received import Received
+from drivers.opcua.bounded import Received
 
 HEADER = struct.Struct("<4sIII")
 """Type and that the chunk is the only one, size, number of the channel, number of its token."""

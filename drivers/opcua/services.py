@@ -19,8 +19,8 @@ from asyncua.ua.object_ids import ObjectIds
 from asyncua.ua.ua_binary import nodeid_to_binary, struct_from_binary, struct_to_binary
 from asyncua.ua.uaerrors import UaError
 
+from drivers.opcua.bounded import Received
 from drivers.opcua.channel import Channel
-from drivers.opcua.received import Received
 
 
 class Answer(NamedTuple):

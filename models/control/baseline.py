@@ -13,10 +13,17 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
-from models.control.inhibit import Inhibit, InhibitCode
 from models.control.measured import carried_over, offset_is_unsure, probe_of_tool_inhibit, with_model, with_probed
 from models.control.probing import ADVANCED_MIN, BiasFilter, BiasState, Wander, full_reset, unknown_bias
-from models.control.state import UNKNOWN_UM, OutputInputs, OutputLimits, OutputMemory, ToolBaseline
+from models.control.state import (
+    UNKNOWN_UM,
+    Inhibit,
+    InhibitCode,
+    OutputInputs,
+    OutputLimits,
+    OutputMemory,
+    ToolBaseline,
+)
 from models.records import FloatArray, OutputState, Phase
 
 SETTLING_STATES = (OutputState.ARMED, OutputState.ACTIVE, OutputState.HOLD)

@@ -22,9 +22,8 @@ from models.control.baseline import (
     take_probe,
     weight_of,
 )
-from models.control.inhibit import Inhibit, InhibitCode
 from models.control.measured import measured_inhibit
-from models.control.state import OutputInputs, OutputLimits, OutputMemory
+from models.control.state import Inhibit, InhibitCode, OutputInputs, OutputLimits, OutputMemory
 from models.records import CompensationCommand, FloatArray, OutputState, Phase
 
 LONGEST_INTERVAL_S = 30.0

@@ -9,8 +9,15 @@ from types import MappingProxyType
 
 import numpy as np
 
-from models.control.inhibit import Inhibit, InhibitCode
-from models.control.state import UNKNOWN_UM, OutputInputs, OutputLimits, OutputMemory, ToolBaseline
+from models.control.state import (
+    UNKNOWN_UM,
+    Inhibit,
+    InhibitCode,
+    OutputInputs,
+    OutputLimits,
+    OutputMemory,
+    ToolBaseline,
+)
 from models.records import FloatArray
 from models.thermal.estimation import UNSURE_UM
 

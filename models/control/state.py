@@ -1,14 +1,49 @@
-"""The records of `models.control.compensation`: inputs, memory and limits of the output."""
+"""The records of `models.control.compensation` (inputs, memory, limits), and the reasons that inhibit the output."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from types import MappingProxyType
 
 import numpy as np
 
-from models.control.inhibit import Inhibit
 from models.control.probing import BiasState, Wander
 from models.records import FloatArray, OutputState, Phase
+
+
+class InhibitCode(StrEnum):
+    """What inhibits switching an axis on, following the estimate, or writing at all."""
+
+    NOT_BEGUN = "not begun"
+    CLOCK = "clock"
+    CONTROL = "control"
+    COMMISSIONING = "commissioning"
+    SECURITY = "security"
+    UNKNOWN_AXIS = "unknown axis"
+    MODEL = "model"
+    OUTAGE = "outage"
+    HARM = "harm"
+    LINK = "link"
+    ECHO = "echo"
+    REFERENCE = "reference"
+    STALE = "stale"
+    CONFIDENCE = "confidence"
+    DOMAIN = "domain"
+    NO_ESTIMATE = "no estimate"
+    PROBE = "probe"
+    FAULT = "fault"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Inhibit:
+    """One reason, and what a person can do about it."""
+
+    code: InhibitCode
+    text: str
+    remedy: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.text}; {self.remedy}" if self.remedy else self.text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

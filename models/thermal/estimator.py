@@ -15,10 +15,9 @@ import numpy.typing as npt
 from models.records import FloatArray
 from models.thermal.estimation import Estimation
 from models.thermal.features import BRIDGE_MIN, Layout, lag_step, speed_inputs
-from models.thermal.known_history import KnownHistory
+from models.thermal.known_history import KnownHistory, ModelState
 from models.thermal.left_out import LeftOut
 from models.thermal.model import Domain, LinearParameters
-from models.thermal.model_state import ModelState
 from models.thermal.sensor_watch import SLOW_MIN
 from models.thermal.solution import band_factor, far_confidence, fast_confidence
 from models.thermal.watch import SensorFault, Watcher, WatchState

@@ -17,9 +17,9 @@ from models.records import FloatArray
 from models.thermal.estimation import Estimation, Machine
 from models.thermal.estimator import LinearEstimator
 from models.thermal.features import IntArray, design_columns
+from models.thermal.known_history import ModelState
 from models.thermal.linear import LinearModel, LinearOnline
 from models.thermal.model import LinearParameters
-from models.thermal.model_state import ModelState
 from models.thermal.solution import Solution
 
 FAMILY = "gaussian"

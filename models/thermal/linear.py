@@ -25,8 +25,8 @@ from models.thermal.estimator import (
     worth_um,
 )
 from models.thermal.features import feature_table
+from models.thermal.known_history import ModelState
 from models.thermal.model import LinearParameters
-from models.thermal.model_state import ModelState
 from models.thermal.rebase import StateReference, estimate_since, rebased, resumed, returning, state_reference
 from models.thermal.watch import MISSING
 

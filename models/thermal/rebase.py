@@ -8,7 +8,7 @@ import numpy as np
 from models.records import FloatArray
 from models.thermal.estimation import Estimation
 from models.thermal.estimator import LinearEstimator, excluded_sensors
-from models.thermal.model_state import ModelState
+from models.thermal.known_history import ModelState
 from models.thermal.watch import MISSING
 
 

@@ -9,8 +9,8 @@ from pydantic import Field
 from scripted_machine import cnc_config
 
 from config.loader import ConfigurationError, parse_yaml_model
+from config.schema.base import drivers_of
 from config.schema.cnc_drivers import CncConnection, CncDriverConfig, OpcUaConfig
-from config.schema.driver_section import drivers_of
 
 OPCUA = "opcua:\n  endpoint: opc.tcp://192.0.2.1:4840/cnc\n  namespace_uri: urn:cnc\n"
 

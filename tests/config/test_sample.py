@@ -15,8 +15,8 @@ from config.loader import parse_yaml_model
 from config.machines import machine_names, shipped_file
 from config.sample import configuration_json_schema, sample_configuration
 from config.schema import Configuration
+from config.schema.base import drivers_of
 from config.schema.cnc import CncConfig
-from config.schema.driver_section import drivers_of
 from config.schema.sinks import SinkConfig
 from config.schema.source_drivers import SourceConfig
 from config.schema.temperatures import LineConfig

@@ -6,8 +6,8 @@ import pytest
 from control_rig import HandClock, Rig, machine, record_for, running
 from memory_cnc import MemoryNc
 
-from daemon.compensation.inbox import Inbox
 from daemon.compensation.operator_requests import Cadence
+from daemon.compensation.parts import Inbox
 
 
 def test_it_is_due_every_period():

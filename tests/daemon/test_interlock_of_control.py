@@ -9,7 +9,7 @@ from memory_cnc import MemoryNc
 from daemon.cnc.interlocks import Interlocks
 from drivers.clock import SystemClock
 from drivers.contract import Capability
-from models.control.inhibit import InhibitCode
+from models.control.state import InhibitCode
 
 
 @pytest.mark.parametrize("missing", list(Capability))

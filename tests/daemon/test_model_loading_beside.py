@@ -14,8 +14,7 @@ from small_model import model
 from config.schema import Configuration
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import LoadedModel, load_released
-from daemon.model_release.reload import ModelReload
-from daemon.model_release.side_load import load_beside, pack, unpack
+from daemon.model_release.side_load import ModelReload, load_beside, pack, unpack
 from daemon.snapshots import ModelSnapshot
 from models.thermal.family import ThermalModel
 

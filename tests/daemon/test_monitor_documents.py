@@ -10,7 +10,7 @@ import pytest
 from control_rig import EPOCH_S
 from monitor_bench import monitor
 
-from daemon.estimation.snapshot import thermal_snapshot
+from daemon.estimation.inputs import thermal_snapshot
 from daemon.estimation.task import ThermalTask
 from daemon.monitor.web.estimate import estimate_document
 from daemon.snapshots import Contributions, LinkSnapshot

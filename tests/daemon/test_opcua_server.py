@@ -22,7 +22,7 @@ from scripted_machine import Keys
 
 from daemon.history.reader import HistoryReader
 from daemon.monitor import arrival
-from drivers.opcua.received import Received
+from drivers.opcua.bounded import Received
 from drivers.opcua.server import subscriptions
 from drivers.opcua.server.encoding import Kind, variant
 from drivers.opcua.server.requests import Request, ServiceError

@@ -14,9 +14,8 @@ from sloped_machine import PIVOT_MM, TRAVEL_MM, configured, content, proved
 
 from config.schema import Configuration
 from daemon.cnc.limits import axis_sources
-from daemon.compensation.skill_monitor import SkillWatch
+from daemon.compensation.skill_monitor import LEAST_PAIRS, SkillWatch
 from models.records import DisplacementSample, ThermalErrorEstimate
-from models.thermal.skill import LEAST_PAIRS
 
 NOWHERE = float("nan")
 BASE: Any = make.estimate(make.EPOCH_S, np.zeros(2), channels=("Z1", "Z1_per_m"), band_um=np.full(2, 2.0), model_id="m")

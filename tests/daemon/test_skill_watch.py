@@ -8,9 +8,15 @@ from control_rig import Bench, running
 
 from config.schema.displacements import DisplacementsConfig
 from daemon.cnc.limits import axis_sources
-from daemon.compensation.skill_monitor import SkillWatch
+from daemon.compensation.skill_monitor import (
+    LEAST_PAIRS,
+    MOST_PAIRS,
+    SkillRecord,
+    SkillWatch,
+    does_harm,
+    with_measurement,
+)
 from models.records import DisplacementSample
-from models.thermal.skill import LEAST_PAIRS, MOST_PAIRS, SkillRecord, does_harm, with_measurement
 
 CHANNELS = ("Z1", "other")
 

@@ -8,7 +8,7 @@ import pytest
 from control_rig import HandClock, Rig, machine, record_for, running
 from memory_cnc import MemoryNc
 
-from daemon.estimation.snapshot import thermal_snapshot
+from daemon.estimation.inputs import thermal_snapshot
 from daemon.estimation.task import ThermalTask
 from daemon.monitor.control_socket import RequestError
 from daemon.monitor.status import StatusBoard

@@ -11,7 +11,7 @@ from control_rig import machine
 from thermal_rig import Task, model
 
 from config.machines import shipped_file
-from daemon.estimation.snapshot import thermal_snapshot
+from daemon.estimation.inputs import thermal_snapshot
 from daemon.history import HistoryReader
 from daemon.messages import ReferenceEnded, ReferenceRebased, ReferenceRefused, ReferenceRequest, ReferenceTakenUp
 from daemon.model_release.file_access import own_account

@@ -25,10 +25,10 @@ from cnc_contract import (
 from pydantic import Field, create_model
 from scripted_machine import ScriptedNc, ScriptedSinumerik, cnc_config
 
+from config.schema.base import drivers_of
 from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import CncConnection
 from config.schema.displacements import DisplacementFileConfig
-from config.schema.driver_section import drivers_of
 from config.schema.source_drivers import SourceConfig
 from config.schema.temperatures import LineConfig
 from drivers import registry

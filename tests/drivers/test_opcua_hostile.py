@@ -17,9 +17,8 @@ from scripted_machine import ScriptedNc, cnc_config
 
 from drivers.clock import SystemClock
 from drivers.contract import DriverError, LinkError
-from drivers.opcua.bounded import LONGEST_CHUNK, LONGEST_MESSAGE, MOST_CHUNKS
+from drivers.opcua.bounded import LONGEST_CHUNK, LONGEST_MESSAGE, MOST_CHUNKS, Received
 from drivers.opcua.cnc import OpcUaCnc
-from drivers.opcua.received import Received
 from drivers.sim.wires.opcua_server import SimulatedCncServer
 
 

@@ -11,8 +11,7 @@ from output_machine import LIMITS, ON, Machine
 
 from models.control.baseline import probe_inhibit, request_um, tool_setting_inhibit, weight_of
 from models.control.compensation import LONGEST_INTERVAL_S, first_inhibit, step
-from models.control.inhibit import Inhibit, InhibitCode
-from models.control.state import OperatorRequest
+from models.control.state import Inhibit, InhibitCode, OperatorRequest
 from models.records import OutputState, Phase
 
 # --- a reference settles ---------------------------------------------------------------

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from models.control.compensation import LONGEST_INTERVAL_S, TRANSITIONS, first_inhibit, initial_memory, step
-from models.control.inhibit import Inhibit, InhibitCode
-from models.control.state import OperatorRequest, OutputInputs, OutputLimits
+from models.control.state import Inhibit, InhibitCode, OperatorRequest, OutputInputs, OutputLimits
 from models.records import OutputState, Phase
 
 AXES = ("y", "z")

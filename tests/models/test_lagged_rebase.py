@@ -12,8 +12,8 @@ from models.records import FloatArray
 from models.thermal.estimation import Machine, OnlineReference
 from models.thermal.estimator import LinearEstimator
 from models.thermal.features import lag_table
+from models.thermal.known_history import ModelState
 from models.thermal.linear import LinearModel
-from models.thermal.model_state import ModelState
 from models.thermal.rebase import StateReference, estimate_since, rebased, returning, state_reference
 from models.thermal.training.train_family import train_family
 

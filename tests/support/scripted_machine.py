@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from config.schema import Configuration
+from config.schema.base import drivers_of
 from config.schema.cnc import CncConfig, MacroMapConfig
 from config.schema.cnc_drivers import OpcUaConfig, OpcUaSecurityConfig
 from config.schema.compensation import AxisConfig, CompensationConfig
 from config.schema.displacements import DisplacementChannelConfig, DisplacementFileConfig, DisplacementsConfig
-from config.schema.driver_section import drivers_of
 from config.schema.temperatures import LineConfig, SensorConfig, TemperaturesConfig
 from drivers.opcua.certificates import create_application_certificate
 from drivers.sim.contract import AxisTruth

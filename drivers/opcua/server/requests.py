@@ -10,7 +10,7 @@ from asyncua.common.utils import Buffer
 from asyncua.ua.status_codes import StatusCodes
 from asyncua.ua.ua_binary import nodeid_from_binary, struct_from_binary
 
-from drivers.opcua.received import Received
+from drivers.opcua.bounded import Received
 from drivers.opcua.server.encoding import NodeKey, node_id, string, time_100ns
 from drivers.opcua.server.standard import MOST_NODES
 

@@ -19,7 +19,7 @@ from asyncua.crypto import security_policies
 from asyncua.ua.status_codes import StatusCodes
 from asyncua.ua.ua_binary import header_from_binary, struct_from_binary, struct_to_binary, uatcp_to_binary
 
-from drivers.opcua.received import Received
+from drivers.opcua.bounded import Received
 from drivers.opcua.server.settings import Identity, Trusted
 
 LONGEST_CHUNK = 65_535
