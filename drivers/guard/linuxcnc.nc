@@ -100,11 +100,10 @@ o34{number} endif
 o30 endif
 (JUDGE THE BLOCK)
 #<old>=[[#<until> LE #<now>] OR [#<until> GT #<now>+{look_ahead}]]
-o40 if [[ABS[#<a>-#<b>] GT 0.5] OR [#<a> LT {vacant}]]
+#<torn>=[[ABS[#<a>-#<b>] GT 0.5] OR [#<a> LT {vacant}]]
+(TORN. IF LEFT SO BY A DEAD WRITER IT EXPIRES TOO)
+o40 if [#<torn> AND [[#<enable> LT {vacant}] OR [#<enable> EQ 0] OR [#<until> EQ 0] OR [#<old> EQ 0]]]
 #<status>=2
-o41 if [[#<enable> GT 0] AND [#<until> NE 0] AND [#<old>] AND [#<_metric> EQ 1] AND [#<trouble> EQ 0]]
-#<status>=3
-o41 endif
 o40 elseif [#<enable> EQ 0]
 #<status>=1
 o40 elseif [#<enable> LT {vacant}]

@@ -44,9 +44,9 @@ AXES = CompensationConfig.model_validate(
 """What the slope S leaves Z is what X and Y have."""
 
 
-def config(**section: Any) -> CncConfig:
+def config(guard: Mapping[str, Any] = GUARD, **section: Any) -> CncConfig:
     """The map of the other tests, and variables of a slope."""
-    plain = cnc_config(linuxcnc=section, guard=GUARD)
+    plain = cnc_config(linuxcnc=section, guard=guard)
     slope = {"values": plain.macros.values | {"S": 507}, "echo_applied": plain.macros.echo_applied | {"S": 516}}
     macros = MacroMapConfig.model_validate(plain.macros.model_dump() | slope)
     return plain.model_copy(update={"macros": macros})
@@ -116,9 +116,10 @@ class Mill:
 
 
 @contextlib.asynccontextmanager
-async def started(units: str = "mm") -> AsyncIterator[Mill]:
+async def started(units: str = "mm", **guard: Any) -> AsyncIterator[Mill]:
     with folder() as directory:
-        (directory / "toolpoint.ngc").write_text(linuxcnc_text(CONFIG, AXES, machine="mill"), encoding="ascii")
+        text = linuxcnc_text(config(GUARD | guard), AXES, machine="mill")
+        (directory / "toolpoint.ngc").write_text(text, encoding="ascii")
         memory = "".join(f"{number}\t0.000000\n" for number in memory_of(CONFIG.guard, AXES))
         (directory / "mill.var").write_text(memory, encoding="ascii")
         mill = Mill(directory, units)
@@ -277,3 +278,24 @@ async def test_no_mode_of_the_program_makes_another_offset_of_the_value() -> Non
             moved_mm = [a - b for a, b in zip(await mill.linuxcnc.position_mm(), before, strict=True)]
             assert moved_mm == pytest.approx([expected_um / 1000.0] * 3, abs=1e-7), mode
             assert await mill.applied_um() == pytest.approx(expected_um), mode
+
+
+async def test_a_block_left_half_written_expires_into_no_mode_in_which_a_whole_one_would_not() -> None:
+    async with started(on_expiry="zero") as mill:
+        await mill.linuxcnc.mdi("o<toolpoint> call [5]", "G10 L2 P1 X-50")
+        await mill.write({"X": 2.0})
+        assert await mill.guard() is GuardStatus.APPLIED
+        await mill.write({"X": 2.0}, valid_s=-1.0)
+        await mill.cnc.write_macros([[(500, mill.sequence + 1.0)]])
+        stood_mm = (await mill.linuxcnc.position_mm())[0]
+        for mode, back in {"G7": "G8", "G55": "G54"}.items():
+            await mill.linuxcnc.mdi(mode)
+            assert await mill.guard() is GuardStatus.MODAL, mode
+            await mill.linuxcnc.mdi(back, "G0 X0")
+            assert (await mill.linuxcnc.position_mm())[0] == pytest.approx(-50.0 + 0.002, abs=1e-7), mode
+        await mill.cnc.write_macros([[(504, 2.5)]])
+        assert await mill.guard() is GuardStatus.OVERSIZE, "what is no number of bits is left alone"
+        await mill.cnc.write_macros([[(504, 7.0)]])
+        assert await mill.guard() is GuardStatus.EXPIRED
+        await mill.linuxcnc.mdi("G0 X0")
+        assert (await mill.linuxcnc.position_mm())[0] == pytest.approx(-50.0, abs=1e-7) and stood_mm == 0.0
