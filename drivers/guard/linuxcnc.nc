@@ -246,7 +246,12 @@ o80 if [#<what> EQ 2]
 o81 if [[#2 LT 1] OR [#2 GT 3] OR [FIX[#2] NE #2] OR [#3 LT 0] OR [#3 GT {axis_count}] OR [FIX[#3] NE #3]]
 (ABORT, TOOLPOINT REQUEST WRONG)
 o81 endif
-o82 if [[[#2 EQ 2] AND [#3 LT 1]] OR [[#2 EQ 3] AND [[#4 LT 0] OR [FIX[#4] NE #4]]]]
+(LINUXCNC TAKES A NUMBER THAT IS MISSING FOR 0: NO PROBE MEASURES THAT, AND T0 IS AN EMPTY SPINDLE)
+#<missing>=[[#2 EQ 2] AND [ABS[#4] LT 0.000001]]
+o88 if [[#2 EQ 3] AND [#4 EQ 0] AND [#<_current_tool> GT 0]]
+#<missing>=1
+o88 endif
+o82 if [#<missing> OR [[#2 EQ 2] AND [#3 LT 1]] OR [[#2 EQ 3] AND [[#4 LT 0] OR [FIX[#4] NE #4]]]]
 (ABORT, TOOLPOINT REQUEST WRONG)
 o82 endif
 o83 if [#<_metric> NE 1]

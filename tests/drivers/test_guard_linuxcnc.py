@@ -44,11 +44,11 @@ AXES = CompensationConfig.model_validate(
 """What the slope S leaves Z is what X and Y have."""
 
 
-def config(guard: Mapping[str, Any] = GUARD, **section: Any) -> CncConfig:
-    """The map of the other tests, and variables of a slope."""
+def config(guard: Mapping[str, Any] = GUARD, request: Mapping[str, int] | None = None, **section: Any) -> CncConfig:
+    """The map of the other tests, variables of a slope, and of requests."""
     plain = cnc_config(linuxcnc=section, guard=guard)
     slope = {"values": plain.macros.values | {"S": 507}, "echo_applied": plain.macros.echo_applied | {"S": 516}}
-    macros = MacroMapConfig.model_validate(plain.macros.model_dump() | slope)
+    macros = MacroMapConfig.model_validate(plain.macros.model_dump() | slope | {"request": request})
     return plain.model_copy(update={"macros": macros})
 
 
@@ -116,9 +116,9 @@ class Mill:
 
 
 @contextlib.asynccontextmanager
-async def started(units: str = "mm", **guard: Any) -> AsyncIterator[Mill]:
+async def started(units: str = "mm", request: Mapping[str, int] | None = None, **guard: Any) -> AsyncIterator[Mill]:
     with folder() as directory:
-        text = linuxcnc_text(config(GUARD | guard), AXES, machine="mill")
+        text = linuxcnc_text(config(GUARD | guard, request), AXES, machine="mill")
         (directory / "toolpoint.ngc").write_text(text, encoding="ascii")
         memory = "".join(f"{number}\t0.000000\n" for number in memory_of(CONFIG.guard, AXES))
         (directory / "mill.var").write_text(memory, encoding="ascii")
@@ -299,3 +299,27 @@ async def test_a_block_left_half_written_expires_into_no_mode_in_which_a_whole_o
         assert await mill.guard() is GuardStatus.EXPIRED
         await mill.linuxcnc.mdi("G0 X0")
         assert (await mill.linuxcnc.position_mm())[0] == pytest.approx(-50.0, abs=1e-7) and stood_mm == 0.0
+
+
+async def test_a_request_without_its_number_is_none() -> None:
+    request = {"counter": 517, "kind": 518, "axis": 519, "value_mm": 520, "acknowledge": 508}
+    pin = f"motion.analog-out-{Pins.of(config(request=request)).outputs[517]:02d}"
+    async with started(request=request, request_timeout_s=1.0, on_timeout="continue") as mill:
+        await mill.linuxcnc.mdi("o<toolpoint> call [5]", "M61 Q1")
+        taken = 0
+        for numbers, asks in {
+            "[2] [3]": False,
+            "[2] [3] [0.00001]": True,
+            "[3]": False,
+            "[3] [0] [7]": True,
+            "[3] [0] [0]": False,
+            "[1]": True,
+        }.items():
+            await mill.linuxcnc.mdi(f"o<toolpoint> call [2] {numbers}")
+            (*_, said) = await mill.linuxcnc.do(["messages"])
+            taken += asks
+            assert float(mill.linuxcnc.halcmd("getp", pin)) == taken, numbers
+            assert ("TOOLPOINT REQUEST WRONG" in said) is not asks, numbers
+            await mill.linuxcnc.do(["mode", "MODE_MDI"], ["wait"])
+        await mill.linuxcnc.mdi("M61 Q0", "o<toolpoint> call [2] [3] [0] [0]")
+        assert float(mill.linuxcnc.halcmd("getp", pin)) == taken + 1, "the spindle is empty"
