@@ -1,5 +1,7 @@
 """What a sink does, and how it says that it cannot."""
 
+import random
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
@@ -14,6 +16,35 @@ class SinkError(Exception):
 
 class SinkWaitsError(SinkError):
     """The connection stands, and what is sent now would reach nobody; the text says what is waited for."""
+
+
+RETRY_FIRST_S, RETRY_LONGEST_S = 0.2, 60.0
+RETRY_GROWTH = 1.5
+"""What was away for a while is tried again within half of that while."""
+LASTED_S = 10.0
+"""After a connection that lasted so long the next loss is tried again at once."""
+
+
+class Retry:
+    """How long to wait before something is tried again: little after the first failure, more with each that follows."""
+
+    def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._now_s = now_s
+        self._wait_s = RETRY_FIRST_S
+        self._works_since_s: float | None = None
+
+    def works(self) -> None:
+        """Note that the connection stands."""
+        if self._works_since_s is None:
+            self._works_since_s = self._now_s()
+
+    def after_failure(self) -> float:
+        """Return how long to wait now [s]; not the same for all, so that a plant does not come back at one moment."""
+        if self._works_since_s is not None and self._now_s() - self._works_since_s >= LASTED_S:
+            self._wait_s = RETRY_FIRST_S
+        wait_s, self._works_since_s = self._wait_s, None
+        self._wait_s = min(RETRY_GROWTH * wait_s, RETRY_LONGEST_S)
+        return wait_s * random.uniform(0.8, 1.2)
 
 
 class Sink(Protocol):

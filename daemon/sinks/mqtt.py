@@ -59,7 +59,7 @@ class MqttSink:
     def open(self, cursor: Cursor) -> Mapping[str, Position]:
         """Connect; the cursor says how far the broker has come."""
         broker = Broker(self._config, self._where, f"{self._client_id}{cursor.generation[:8]}")
-        name = OneName(broker, f"{self._base}/store", cursor.generation, self._machine)
+        name = OneName(broker, f"{self._base}/store", cursor, self._machine)
         self._opened = broker, name
         broker.connect(self._retained("status", b"offline"))
         name.begin()

@@ -5,11 +5,13 @@
 Of two that begin together the first in the broker's order has the name. Nothing is retained: who has it answers.
 """
 
+import time
 from collections import Counter
 from contextlib import suppress
 
 import structlog
 
+from daemon.history.cursors import Cursor
 from daemon.sinks.broker import Broker, Message
 from daemon.sinks.broker_refusals import name_in_use
 from daemon.sinks.contract import SinkError
@@ -17,9 +19,11 @@ from daemon.sinks.contract import SinkError
 log = structlog.get_logger(__name__)
 ANSWER_S = 1.0
 """Another one has so long to answer before the first row goes."""
+LATELY_S = 60.0
+"""Whose rows the broker took so lately had the name: after a loss or a restart they do not wait for an answer."""
 CLAIM, TAKEN = "claim", "taken"
-_held: set[tuple[str, str]] = set()
-"""Topic and store that this process had before: after a lost connection rows do not wait for an answer."""
+_refused: set[tuple[str, str]] = set()
+"""Topic and store that another one was in the way of: its rows wait for an answer again."""
 TRIES = 3
 _broken_off: Counter[tuple[str, str]] = Counter()
 """How often the connection was lost there in a row: a broker may do so where the user has no right to read."""
@@ -28,9 +32,11 @@ _broken_off: Counter[tuple[str, str]] = Counter()
 class OneName:
     """The claim of one store to a machine's name, at one connection."""
 
-    def __init__(self, broker: Broker, topic: str, store: str, machine: str) -> None:
-        self._broker, self._topic, self._store, self._machine = broker, topic, store, machine
-        self._key = topic, store
+    def __init__(self, broker: Broker, topic: str, cursor: Cursor, machine: str) -> None:
+        self._broker, self._topic, self._store, self._machine = broker, topic, cursor.generation, machine
+        self._key = topic, cursor.generation
+        lately = 0.0 <= time.time() - (cursor.acknowledged_utc_s or 0.0) < LATELY_S
+        self._waits = not lately or self._key in _refused
         self._own = False
         """Whether the claim came back: from then on it is answered for."""
         self.taken = False
@@ -43,7 +49,7 @@ class OneName:
         del _broken_off[self._key]
         self.check()
         if self._own:
-            _held.add(self._key)
+            _refused.discard(self._key)
             return
         why = "`user_name` may not read and write there, so a second computer with the same `machine` is not noticed"
         log.warning("sink.name", topic=self._topic, problem=why)
@@ -53,13 +59,13 @@ class OneName:
         with suppress(SinkError):
             self._broker.subscribe(self._topic)
             self._broker.publish([self._message(CLAIM)])
-            self._broker.hears(lambda: self.taken or (self._own and self._key in _held), ANSWER_S)
+            self._broker.hears(lambda: self.taken or (self._own and not self._waits), ANSWER_S)
         self._broker.check()
 
     def check(self) -> None:
         """Raise SinkError where another one has the name."""
         if self.taken:
-            _held.discard(self._key)
+            _refused.add(self._key)
             raise self._broker.problem(name_in_use(self._machine, self._topic))
 
     def _hear(self, topic: str, content: bytes, retained: bool) -> None:

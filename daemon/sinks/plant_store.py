@@ -27,7 +27,7 @@ from psycopg import errors
 from config.schema.plant_store import PlantStoreConfig, SubscriptionConfig
 from daemon.sinks.broker import STORE_PROPERTY, set_credentials
 from daemon.sinks.broker_refusals import closed_at_once, lost, no_acknowledgement, reason, refusal, two_computers
-from daemon.sinks.contract import SinkError
+from daemon.sinks.contract import Retry, SinkError
 from daemon.sinks.database import STORE, Database, time_of
 from daemon.sinks.mqtt import topic_level
 from daemon.sinks.outbox import DAY_MS, STREAMS, Stream
@@ -44,7 +44,6 @@ PING_PERIOD_S = 20
 LOOK_PERIOD_S = 0.5
 TELL_PERIOD_S = 5.0
 """How often the service manager hears that the process works, and how it fares."""
-RETRY_FIRST_S, RETRY_LONGEST_S = 1.0, 30.0
 LONGEST_NAME = 200
 LARGEST_MESSAGE = 1 << 18
 """The broker is told to leave out what is larger [bytes]; a row of a thousand sensors has some 30 kB."""
@@ -238,7 +237,7 @@ class PlantStore:
         """`tell` gets a sentence now and then while it works, on what it does or what keeps it from that."""
         self._config, self._stop, self._tell = config, stop, tell
         self._told_s, self._stored = float("-inf"), 0
-        self._retry_s = RETRY_FIRST_S
+        self._retry = Retry()
         self._said = ""
         self._twins = Twins()
 
@@ -252,8 +251,7 @@ class PlantStore:
                     log.warning("store.failed", problem=str(error))
                 self._said = str(error)
                 self._tell(f"cannot store, tries again: {self._said}")
-                self._stop.wait(self._retry_s)
-                self._retry_s = min(2.0 * self._retry_s, RETRY_LONGEST_S)
+                self._stop.wait(self._retry.after_failure())
 
     def _session(self) -> None:
         there = self._config.postgresql
@@ -269,7 +267,8 @@ class PlantStore:
                 if messages := subscription.take(LOOK_PERIOD_S):
                     self._store(database, messages)
                     subscription.acknowledge(messages)
-                    self._retry_s, self._said = RETRY_FIRST_S, ""
+                    self._retry.works()
+                    self._said = ""
         finally:
             subscription.close()
             database.close()

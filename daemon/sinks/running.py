@@ -3,7 +3,6 @@
 import contextlib
 import fcntl
 import os
-import random
 import sqlite3
 import threading
 import time
@@ -18,7 +17,7 @@ from config.schema import Configuration
 from config.schema.sinks import SinkConfig
 from daemon.history.cursors import Cursor, Position, cursor_path
 from daemon.history.database import HistoryError
-from daemon.sinks.contract import Progress, Sink, SinkError, SinkWaitsError, Watch
+from daemon.sinks.contract import Progress, Retry, Sink, SinkError, SinkWaitsError, Watch
 from daemon.sinks.outbox import STREAMS, Outbox
 from daemon.sinks.watching import lately, lock_path, runs, silence
 
@@ -26,8 +25,6 @@ if TYPE_CHECKING:
     from daemon.sinks.alarms.message import Messenger
 
 log = structlog.get_logger(__name__)
-RETRY_FIRST_S = 1.0
-RETRY_LONGEST_S = 60.0
 ALIVE_PERIOD_S = 30.0
 """How often a sink with nothing to send says that it runs, and the process of all of them too."""
 STOP_WITHIN_S = 10.0
@@ -101,7 +98,7 @@ class SinkRunner:
         self._stop, self._open_sink = stop, open_sink
         self._wait = wait or stop.wait
         self._path = cursor_path(store, config.name)
-        self._retry_s = RETRY_FIRST_S
+        self._retry = Retry()
         self._said = ""
         self._progress = Progress(cursor=Cursor.read(self._path) or Cursor(), save=self._save)
 
@@ -167,7 +164,7 @@ class SinkRunner:
         self.cursor.write(self._path)
 
     def _went_well(self) -> None:
-        self._retry_s = RETRY_FIRST_S
+        self._retry.works()
         if self._said:
             log.info("sink.works_again", sink=self._config.name)
             self._said = ""
@@ -177,9 +174,8 @@ class SinkRunner:
 
     def _failed(self, problem: str) -> None:
         self._note(problem)
-        self._wait(self._retry_s * random.uniform(0.8, 1.2))
+        self._wait(self._retry.after_failure())
         self._note(problem)  # again: this wait and the next try together are longer than a process may be silent
-        self._retry_s = min(2.0 * self._retry_s, RETRY_LONGEST_S)
 
     def _note(self, problem: str) -> None:
         """Say in the cursor and, where it is new, in the log why nothing is sent."""

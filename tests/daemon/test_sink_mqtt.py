@@ -543,6 +543,25 @@ def test_a_second_computer_of_one_name_is_refused_and_waits_until_the_first_is_g
             working.join()
 
 
+def test_after_a_restart_rows_do_not_wait_for_an_answer(
+    port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor after a loss: whose rows were taken a moment ago has the name."""
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.1)
+    with subscriber(port, "toolpoint/restarted/history/#") as listener:
+        assert send(section(port), store, "restarted").problem == ""
+        before = len(rows(listener.messages, "cnc"))
+        monkeypatch.setattr("daemon.sinks.one_name.ANSWER_S", 1e3)
+        fill(store, start_s=EPOCH_S + 7200.0, hours=0.5)
+        monkeypatch.setattr("daemon.sinks.one_name._held", set(), raising=False)  # as in a process that just began
+        ended = threading.Thread(target=send, args=(section(port), store, "restarted"), daemon=True)
+        ended.start()
+        ended.join(PATIENCE_S)
+        assert not ended.is_alive(), "it waits for an answer"
+        wait_until(lambda: len(rows(listener.messages, "cnc")) > before)
+
+
 def test_the_rights_that_the_guide_gives_are_enough_to_notice_a_second_computer(tmp_path: Path) -> None:
     guide = (Path(__file__).parents[2] / "docs/how-to/run-a-plant.md").read_text("utf-8")
     (rights,) = re.findall(r"```\nuser store\n.*?(user mill-7\n.*?)```", guide, re.DOTALL)

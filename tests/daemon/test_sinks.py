@@ -28,7 +28,7 @@ from daemon.cli import main
 from daemon.history import HistoryReader, HistoryWriter, housekeeping
 from daemon.history.cursors import Cursor, cursor_path
 from daemon.history.database import HistoryError, connect_reader
-from daemon.sinks.contract import Progress, SinkError
+from daemon.sinks.contract import Progress, Retry, SinkError
 from daemon.sinks.outbox import STREAMS, Outbox
 from daemon.sinks.running import SinkRunner, run_sinks, sink_status
 from daemon.sinks.watching import watch
@@ -88,6 +88,34 @@ def test_a_process_that_waits_says_that_it_runs_before_it_tries_again(tmp_path: 
 
     SinkRunner(SINK, store, "mill", stop, away, wait).run()
     assert said_s[1] >= 0.0
+
+
+@pytest.mark.parametrize("away_s", [0.5, 1.2, 3.0, 20.0, 100.0])
+def test_what_was_away_is_found_back_within_half_of_its_absence(tmp_path: Path, away_s: float) -> None:
+    store, stop, waited_s = tmp_path / "h.sqlite", threading.Event(), [0.0]
+    writer_of(store, 0.0).close()
+
+    def server(_config: SinkConfig, _machine: str) -> Taker:
+        if waited_s[0] < away_s:
+            raise SinkError("away")
+        stop.set()
+        return Taker()
+
+    def wait(duration_s: float) -> None:
+        waited_s[0] += duration_s
+
+    SinkRunner(SINK, store, "mill", stop, server, wait).run()
+    assert waited_s[0] - away_s <= 0.3 + 0.6 * away_s
+
+
+def test_a_connection_that_never_lasts_is_tried_less_and_less_often_and_one_that_lasted_at_once() -> None:
+    now_s = 0.0
+    retry, waits = Retry(lambda: now_s), []
+    for lasted_s in (*[1.0] * 20, 11.0):
+        retry.works()
+        now_s += lasted_s
+        waits.append(retry.after_failure())
+    assert waits[19] >= 40.0 and waits[20] < 0.3
 
 
 def writer_of(store: Path, utc_s: float, **changes: object) -> HistoryWriter:
