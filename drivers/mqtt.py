@@ -12,6 +12,7 @@ import aiomqtt
 
 from config.schema.source_drivers import SourceEntry
 from config.schema.source_sections import MqttBroker, MqttTopic
+from config.secret_files import SecretError, read_secret
 from drivers.clock import Clock
 from drivers.contract import FatalDriverError, LinkError
 from drivers.json_fields import number_of, readings_in
@@ -78,9 +79,9 @@ class MqttSource(PushedSource):
         if path is None:
             return None
         try:
-            return path.read_text(encoding="utf-8").strip()
-        except (OSError, UnicodeDecodeError) as error:
-            raise FatalDriverError(f"{self._where}: password_file {path} cannot be read: {error}") from error
+            return read_secret("password_file", path)
+        except SecretError as error:
+            raise FatalDriverError(f"{self._where}: {error}") from error
 
     def _tls(self) -> ssl.SSLContext | None:
         if not self._config.tls:

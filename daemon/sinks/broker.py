@@ -4,7 +4,6 @@ import contextlib
 import functools
 import itertools
 import logging
-import ssl
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from config.schema.sinks import BrokerConfig
+from config.secret_files import SecretError, read_secret
 from daemon.sinks.broker_refusals import (
     closed_at_once,
     lost,
@@ -26,9 +26,9 @@ from daemon.sinks.broker_refusals import (
     no_acknowledgement,
     reason,
     refusal,
-    unreadable,
 )
 from daemon.sinks.contract import SinkError
+from daemon.sinks.vouching import tls_context
 
 PING_PERIOD_S = 20
 STORE_PROPERTY = "store"
@@ -246,21 +246,11 @@ def _properties(store: str) -> Properties | None:
 
 def set_credentials(client: paho.Client, config: BrokerConfig, where: str) -> None:
     """Give a client the user, the password and the certificates that a section names; raises SinkError."""
-    if config.user_name is not None:
-        client.username_pw_set(config.user_name, _password(config, where))
-    if config.tls:
-        path = config.ca_certificate
-        try:
-            client.tls_set_context(ssl.create_default_context(cafile=None if path is None else str(path)))
-        except (OSError, ssl.SSLError) as error:
-            raise SinkError(f"{where}: {unreadable('ca_certificate', path, error)}") from error
-
-
-def _password(config: BrokerConfig, where: str) -> str | None:
     path = config.password_file
-    if path is None:
-        return None
     try:
-        return path.read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise SinkError(f"{where}: {unreadable('password_file', path, error)}") from error
+        if config.user_name is not None:
+            client.username_pw_set(config.user_name, None if path is None else read_secret("password_file", path))
+        if config.tls:
+            client.tls_set_context(tls_context(config.ca_certificate))
+    except SecretError as error:
+        raise SinkError(f"{where}: {error}") from error

@@ -4,6 +4,7 @@ import socket
 import ssl
 
 from config.schema.sinks import BrokerConfig
+from daemon.sinks.vouching import unvouched
 from models.json_values import printable
 
 REFUSED = {
@@ -27,9 +28,7 @@ def refusal(error: Exception, config: BrokerConfig) -> str:
     """Return why no connection came about, and what to do."""
     text = " ".join(str(error).split()) or type(error).__name__
     if isinstance(error, ssl.SSLCertVerificationError):
-        if "mismatch" in text:
-            return f"{error.verify_message}: `host` must be a name in its certificate"
-        return f"{error.verify_message}: its certificate is none that `ca_certificate` vouches for"
+        return unvouched(error, "host")
     if isinstance(error, ssl.SSLError) or (config.tls and isinstance(error, ConnectionResetError | BrokenPipeError)):
         return f"{text}: it speaks no TLS at this port: check `port`, switch TLS on there, or set `tls: false`"
     if isinstance(error, socket.gaierror | UnicodeError):
@@ -114,8 +113,3 @@ def nobody_subscribes(topics: list[str]) -> str:
 def no_acknowledgement(config: BrokerConfig) -> str:
     """Return that the broker is there and says nothing."""
     return f"no acknowledgement within `timeout_s` ({config.timeout_s:g} s): look at the broker and the network"
-
-
-def unreadable(key: str, path: object, error: object) -> str:
-    """Return that a file which the configuration names cannot be used."""
-    return f"`{key}` {path} cannot be used ({error}): check the path, and that the service may read it"

@@ -17,9 +17,10 @@ import structlog
 from psycopg import errors, sql
 
 from config.schema.sinks import PostgresqlConfig
+from config.secret_files import SecretError, read_secret
 from daemon.sinks.contract import SinkError
 from daemon.sinks.outbox import Stream
-from daemon.sinks.postgresql_refusals import newer_schema, other_encoding, refusal, unreadable
+from daemon.sinks.postgresql_refusals import newer_schema, other_encoding, refusal
 from daemon.sinks.row_messages import KEYS
 
 log = structlog.get_logger(__name__)
@@ -181,7 +182,7 @@ class Database:
         if config.tls:
             tls = {"sslmode": "verify-full", "sslrootcert": str(config.ca_certificate or authorities())}
             if config.ca_certificate is not None and not config.ca_certificate.is_file():
-                raise SinkError(f"{self._where}: {unreadable('ca_certificate', config.ca_certificate, 'no file')}")
+                raise self.problem(f"`ca_certificate` {config.ca_certificate} cannot be read: check the path")
         connection: psycopg.Connection[Any] = psycopg.connect(
             host=config.host,
             port=config.port,
@@ -204,12 +205,10 @@ class Database:
 
     def _password(self) -> str | None:
         path = self._config.password_file
-        if path is None:
-            return None
         try:
-            return path.read_text(encoding="utf-8").strip()
-        except (OSError, UnicodeDecodeError) as error:
-            raise SinkError(f"{self._where}: {unreadable('password_file', path, error)}") from error
+            return None if path is None else read_secret("password_file", path)
+        except SecretError as error:
+            raise self.problem(str(error)) from error
 
     def _migrate(self, connection: psycopg.Connection[Any]) -> None:
         """Apply the scripts that the database does not have yet; refuse a schema of a newer version."""

@@ -1,7 +1,5 @@
 """What a database that refuses means for a person: which key of the configuration to look at."""
 
-from pathlib import Path
-
 from psycopg import errors
 
 from config.schema.sinks import PostgresqlConfig
@@ -10,7 +8,7 @@ HINTS = {
     "password authentication failed": "check `user_name` and `password_file`",
     "no password supplied": "the server asks for a password: give `password_file`",
     "pg_hba.conf": "let this computer in on the server (pg_hba.conf), and check `tls` and `user_name`",
-    "certificate verify failed": "its certificate is none that `ca_certificate` vouches for",
+    "certificate verify failed": "its certificate has expired, or is none that `ca_certificate` vouches for",
     "server certificate for": "`host` must be a name in its certificate",
     "does not support ssl": "the server has no TLS: switch it on there, or set `tls: false`",
     "resolve host": "no address is known for `host`: check `host`",
@@ -84,8 +82,3 @@ def name_taken(machine: str) -> str:
         f"another store, or this one on another computer, has sent as {machine} in the last minute: `machine` must "
         "differ from computer to computer; a store that was restored, moved or begun anew waits this minute"
     )
-
-
-def unreadable(key: str, path: Path, error: object) -> str:
-    """Return that a file which the configuration names cannot be used."""
-    return f"`{key}` {path} cannot be read ({error}): check the path, and that the service may read it"

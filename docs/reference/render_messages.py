@@ -79,6 +79,8 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "daemon/sinks/watching.py",
         "daemon/sinks/postgresql_refusals.py",
         "daemon/sinks/broker_refusals.py",
+        "daemon/sinks/vouching.py",
+        "config/secret_files.py",
     ),
     "Alarms": (
         "daemon/sinks/alarms/observing.py",

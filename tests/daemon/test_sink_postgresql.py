@@ -756,6 +756,19 @@ def test_the_section_says_which_library_is_loaded() -> None:
     assert isinstance(make_sink(config, MACHINE), PostgresqlSink)
 
 
+@pytest.mark.parametrize("password", [" lathe", "lathe ", "\tlathe", "l\u00e4the \u6f22", "q'\"\\`$%&:@/?#", "a\u00a0"])
+def test_a_password_is_taken_as_it_stands_in_its_file(server: Server, tmp_path: Path, password: str) -> None:
+    server.empty()
+    with server.connection() as connection:
+        connection.execute("DROP ROLE IF EXISTS odd")
+        connection.execute(psycopg.sql.SQL("CREATE ROLE odd LOGIN SUPERUSER PASSWORD {}").format(password))
+    (tmp_path / "odd").write_text(f"{password}\n")
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.1)
+    sent = send(server, tmp_path, store, user_name="odd", password_file=tmp_path / "odd")
+    assert sent.problem == ""
+
+
 def test_tls_takes_a_server_that_is_vouched_for_and_no_other(
     server: Server, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
@@ -768,6 +781,11 @@ def test_tls_takes_a_server_that_is_vouched_for_and_no_other(
     assert send(server, tmp_path, store, **known).problem == "" and counts(server)["cnc"] == 2
     wrong = send(server, tmp_path, store, **known | {"ca_certificate": other / "monitor.crt"})
     assert "none that `ca_certificate` vouches for" in wrong.problem
+    make_certificate(other, (-30, -1))
+    server.secure(other / "monitor.crt", other / "monitor.key")
+    expired = send(server, tmp_path, store, **known | {"ca_certificate": other / "monitor.crt"})
+    assert "has expired" in expired.problem
+    server.secure(tmp_path / "monitor.crt", tmp_path / "monitor.key")
     elsewhere = send(server, tmp_path, store, **known | {"host": "127.0.0.1"})
     assert "`host` must be a name in its certificate" in elsewhere.problem
     unknown = send(server, tmp_path, store, **known | {"ca_certificate": None})

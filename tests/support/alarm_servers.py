@@ -33,12 +33,13 @@ class MailBox:
     letters: list[EmailMessage] = field(default_factory=list)
     envelopes: list[tuple[str, list[str]]] = field(default_factory=list)
     refused: tuple[str, ...] = ()
+    refusal: str = "550 no such mailbox"
     account: tuple[str, str] | None = None
     answer: str = "250 OK"
 
     async def handle_RCPT(self, server, session, envelope, address, options):
         if address in self.refused:
-            return "550 no such mailbox"
+            return self.refusal
         envelope.rcpt_tos.append(address)
         return "250 OK"
 

@@ -11,8 +11,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 HOST = "mill-7.hall"
 
 
-def make_certificate(folder):
-    """Write a certificate of its own authority, and its key; return what trusts it."""
+def make_certificate(folder, days=(-1, 1)):
+    """Write a certificate of its own authority, valid on these days from now, and its key; return what trusts it."""
     key = ec.generate_private_key(ec.SECP256R1())
     subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, HOST)])
     names = [x509.DNSName(HOST), x509.DNSName("localhost"), x509.IPAddress(ip_address("10.0.0.17"))]
@@ -23,8 +23,8 @@ def make_certificate(folder):
         .issuer_name(subject)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
-        .not_valid_before(now - timedelta(days=1))
-        .not_valid_after(now + timedelta(days=1))
+        .not_valid_before(now + timedelta(days=days[0]))
+        .not_valid_after(now + timedelta(days=days[1]))
         .add_extension(x509.SubjectAlternativeName(names), critical=False)
         .add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
         .sign(key, hashes.SHA256())

@@ -3,6 +3,7 @@
 import smtplib
 import socket
 import ssl
+from collections.abc import Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from email.message import EmailMessage
@@ -10,13 +11,17 @@ from email.utils import format_datetime
 from typing import BinaryIO
 
 from config.schema.sinks import SinkConfig
+from config.secret_files import SecretError, read_secret
 from daemon.sinks.alarms.message import Message
-from daemon.sinks.alarms.sending import Connection, UnreadableError, answer, secret, tls_context
+from daemon.sinks.alarms.sending import Connection, answer
 from daemon.sinks.contract import SinkError
+from daemon.sinks.vouching import tls_context, unvouched
 
 WHOLE_TIMES = 6
 """All of it may take so many times as long as one answer."""
 READY = 220
+FOR_GOOD = 500
+"""Answers below this may be another one later: greylisting, a full mailbox."""
 MOST_BYTES = 1 << 16
 """A server that says more than this is no mail server."""
 
@@ -34,13 +39,13 @@ class MailMessenger:
         password = ""
         try:
             if self._config.password_file is not None:
-                password = secret("password_file", self._config.password_file)
+                password = read_secret("password_file", self._config.password_file)
             refused = self._hand_over(self.letter(message), password)
-        except UnreadableError as error:
+        except SecretError as error:
             raise SinkError(f"{self._where}: {error}") from None
         except (OSError, ssl.SSLError, smtplib.SMTPException, ValueError) as error:
             raise SinkError(f"{self._where}: {_refusal(error, password)}") from None
-        return f"{self._where}: it refuses {', '.join(sorted(refused))}: check `recipients`" if refused else ""
+        return f"{self._where}: {_refused(refused)}" if refused else ""
 
     def letter(self, message: Message) -> EmailMessage:
         """Return the mail; a header with an end of line in it is refused by the library."""
@@ -127,14 +132,14 @@ def _refusal(error: Exception, password: str) -> str:
             return f"it refuses the account ({_said(error, hidden)}): check `user_name` and `password_file`"
         case smtplib.SMTPNotSupportedError():
             return f"{answer(error)}: check `encryption`, `port` and `user_name`"
-        case smtplib.SMTPSenderRefused():
+        case smtplib.SMTPSenderRefused() if error.smtp_code >= FOR_GOOD:
             return f"it refuses the sender ({_said(error, hidden)}): check `sender` and `user_name`"
         case smtplib.SMTPRecipientsRefused():
-            return f"it refuses {', '.join(sorted(error.recipients))}: check `recipients`"
+            return _refused(error.recipients)
         case smtplib.SMTPResponseException() if error.smtp_code > 0:
             return f"it answers {_said(error, hidden)}: look at the server; it is tried again"
         case ssl.SSLCertVerificationError():
-            return f"its certificate is not vouched for ({error.verify_message}): check `host` and `ca_certificate`"
+            return unvouched(error, "host")
         case ssl.SSLError():
             return f"no encryption ({error.reason or 'broken off'}): check `encryption` and `port`"
         case TimeoutError():
@@ -148,6 +153,15 @@ def _refusal(error: Exception, password: str) -> str:
         case OSError():
             return f"cannot be reached ({answer(error.strerror or error)}): check `host`, `port`, and that it runs"
     return f"does not answer as a mail server does ({type(error).__name__}): check `host` and `port`"
+
+
+def _refused(recipients: Mapping[str, tuple[int, bytes]]) -> str:
+    """Return whom the server takes nothing for, and whether that is for good."""
+    names = ", ".join(sorted(recipients))
+    code, said = max(recipients.values())
+    if code >= FOR_GOOD:
+        return f"it refuses {names}: check `recipients`"
+    return f"it takes nothing for {names} now ({code} {answer(said.decode('utf-8', 'replace'))}): look at the server"
 
 
 def _said(error: smtplib.SMTPResponseException, hidden: tuple[str, ...]) -> str:

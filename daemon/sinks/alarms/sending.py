@@ -1,44 +1,14 @@
-"""What the two ways of sending share: a time within which a message must be taken, secrets, and certificates."""
+"""What the two ways of sending share: a time within which a message must be taken, and answers."""
 
 import socket
 import ssl
 import threading
 from contextlib import suppress
-from pathlib import Path
 from typing import Self
 
 from models.json_values import printable
 
-LONGEST_SECRET = 8192
 LONGEST_ANSWER = 200
-
-
-class UnreadableError(Exception):
-    """A file that the configuration names cannot be used; the text names the key and the file."""
-
-
-def secret(key: str, path: Path) -> str:
-    """Return the one line of a file; raises UnreadableError, whose text never holds what the file says."""
-    try:
-        text = path.read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        why = error.strerror if isinstance(error, OSError) else "it is no text"
-        raise UnreadableError(
-            f"`{key}` {path} cannot be read ({why}): check the path, and that the service may read it"
-        ) from None
-    if not text or len(text) > LONGEST_SECRET or not text.isprintable():
-        raise UnreadableError(f"`{key}` {path} must hold one line of text: write it anew")
-    return text
-
-
-def tls_context(ca_certificate: Path | None) -> ssl.SSLContext:
-    """Return what accepts a server whose certificate is vouched for; raises UnreadableError."""
-    try:
-        return ssl.create_default_context(cafile=None if ca_certificate is None else str(ca_certificate))
-    except (OSError, ssl.SSLError) as error:
-        raise UnreadableError(
-            f"`ca_certificate` {ca_certificate} cannot be read ({error}): name a certificate in PEM"
-        ) from error
 
 
 def answer(text: object, *secrets: str) -> str:

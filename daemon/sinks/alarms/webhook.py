@@ -6,9 +6,11 @@ import ssl
 from urllib.parse import urlsplit
 
 from config.schema.sinks import SinkConfig
+from config.secret_files import SecretError, read_secret
 from daemon.sinks.alarms.message import Message
-from daemon.sinks.alarms.sending import Connection, UnreadableError, answer, secret, tls_context
+from daemon.sinks.alarms.sending import Connection, answer
 from daemon.sinks.contract import SinkError
+from daemon.sinks.vouching import tls_context, unvouched
 
 HINTS = {
     301: "it moved: write its new address into `url`",
@@ -40,10 +42,10 @@ class WebhookMessenger:
         """Post a message; raises SinkError unless it was taken, and returns ''."""
         config = self._config
         try:
-            url = config.url or secret("url_file", config.url_file)  # type: ignore[arg-type] # one of them is there
-            token = "" if config.token_file is None else secret("token_file", config.token_file)
+            url = config.url or read_secret("url_file", config.url_file).strip()  # type: ignore[arg-type] # one is there
+            token = "" if config.token_file is None else read_secret("token_file", config.token_file).strip()
             status, said = self._post(url, token, json.dumps(message.document(), allow_nan=False).encode())
-        except UnreadableError as error:
+        except SecretError as error:
             raise SinkError(f"{self._where}: {error}") from None
         except (OSError, ssl.SSLError, http.client.HTTPException, ValueError) as error:
             raise SinkError(f"{self._where}: {_refusal(error)}") from None
@@ -58,7 +60,7 @@ class WebhookMessenger:
         config, parts = self._config, urlsplit(url)
         encrypted = parts.scheme == "https"
         if not (encrypted or (parts.scheme == "http" and not token)) or not parts.hostname or parts.username:
-            raise UnreadableError("`url_file` must hold an https:// address: write it anew")
+            raise SecretError("`url_file` must hold an https:// address: write it anew")
         headers = {"Host": parts.netloc, "Content-Type": "application/json", "User-Agent": "toolpoint"}
         if token:
             headers["Authorization"] = f"Bearer {token}"
@@ -78,7 +80,7 @@ def _refusal(error: Exception) -> str:
     """Return why nothing could be posted, and which key of the configuration to look at."""
     match error:
         case ssl.SSLCertVerificationError():
-            return f"its certificate is not vouched for ({error.verify_message}): check `url` and `ca_certificate`"
+            return unvouched(error, "url")
         case TimeoutError():
             return f"no answer ({answer(error) or 'timed out'}): check `url`, `timeout_s` and the network"
         case OSError():

@@ -1,0 +1,26 @@
+"""Certificates of servers: what accepts one that is vouched for, and why one is not accepted."""
+
+import ssl
+from pathlib import Path
+
+from config.secret_files import SecretError
+
+
+def tls_context(ca_certificate: Path | None) -> ssl.SSLContext:
+    """Return what accepts a server whose certificate is vouched for; raises SecretError."""
+    try:
+        return ssl.create_default_context(cafile=None if ca_certificate is None else str(ca_certificate))
+    except (OSError, ssl.SSLError) as error:
+        raise SecretError(
+            f"`ca_certificate` {ca_certificate} cannot be read ({error}): name a certificate in PEM"
+        ) from error
+
+
+def unvouched(error: ssl.SSLCertVerificationError, key: str) -> str:
+    """Return why a certificate is not accepted, and what to do; `key` of the configuration holds the server's name."""
+    why = error.verify_message.rstrip(".")
+    if "mismatch" in why:
+        return f"{why}: `{key}` must be a name in its certificate"
+    if "expired" in why or "not yet" in why:
+        return f"{why}: renew it on the server, or set the clock that is wrong"
+    return f"{why}: its certificate is none that `ca_certificate` vouches for"
