@@ -3,7 +3,7 @@
 import asyncio
 from abc import ABC, abstractmethod
 from collections.abc import Coroutine, Mapping, Sequence
-from typing import Any, ClassVar, NoReturn, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, NoReturn, Protocol, TypeVar
 
 from config.schema.cnc import CncConfig
 from drivers.clock import Clock
@@ -26,6 +26,68 @@ class Link(Protocol):
     async def ended(self) -> None:
         """Wait until it is closed; call after `abort`."""
         ...
+
+
+Answer = TypeVar("Answer")
+
+
+class AnsweredLink(asyncio.Protocol, Generic[Answer]):
+    """One TCP connection on which one request at a time waits for its answer."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._waiting: asyncio.Future[Answer] | None = None
+        self._transport: asyncio.Transport | None = None
+        self._closed = asyncio.get_running_loop().create_future()
+        self.lost: str | None = None
+        """Why the link is lost; None while it stands."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Take the connection."""
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+
+    def connection_lost(self, error: Exception | None) -> None:
+        """Tell who waits that the connection has ended."""
+        self.abort(f"{self._name} ended the connection" + (f": {error}" if error else ""))
+        if not self._closed.done():
+            self._closed.set_result(None)
+
+    @property
+    def _waits(self) -> bool:
+        """A request has no answer yet."""
+        return self._waiting is not None and not self._waiting.done()
+
+    async def _answer_to(self, request: bytes) -> Answer:
+        """Send a request and return its answer; given up, it ends the link. Raises LinkError."""
+        if self.lost is not None or self._transport is None:
+            raise LinkError(self.lost or f"{self._name}: never connected")
+        waiting: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
+        self._waiting = waiting
+        try:
+            self._transport.write(request)
+            answer = await waiting
+        except asyncio.CancelledError:
+            self.abort(f"{self._name}: an answer was given up")
+            raise
+        finally:
+            self._waiting = None
+        if self.lost is not None:
+            raise LinkError(self.lost)
+        return answer
+
+    def abort(self, reason: str) -> None:
+        """End the connection at once; who waits gets a LinkError with the first reason."""
+        self.lost = self.lost or reason
+        if self._transport is not None:
+            self._transport.abort()
+        if self._waiting is not None and not self._waiting.done():
+            self._waiting.set_exception(LinkError(self.lost))
+
+    async def ended(self) -> None:
+        """Wait until the socket is closed; call after `abort`."""
+        if self._transport is not None:
+            await self._closed
 
 
 AnyLink = TypeVar("AnyLink", bound=Link)

@@ -1,15 +1,14 @@
 """One TCP connection to a Haas control: one query at a time, among answers that others have asked for."""
 
-import asyncio
 from collections.abc import Callable
 
-from drivers.contract import LinkError
 from drivers.haas.codec import Answer, HaasFormatError, LineBuffer, Query, Unknown, parse_answer
+from drivers.linked_cnc import AnsweredLink
 
 Fits = Callable[[Answer], bool]
 
 
-class HaasLink(asyncio.Protocol):
+class HaasLink(AnsweredLink[Answer]):
     """What the control answers goes to all who are connected, so an answer counts only where it fits a query.
 
     A control that names the variable in its answers tells whose they are: another's are passed over. One that does not
@@ -17,12 +16,9 @@ class HaasLink(asyncio.Protocol):
     """
 
     def __init__(self, name: str) -> None:
-        self._name = name
+        super().__init__(name)
         self._buffer = LineBuffer()
         self._fits: Fits | None = None
-        self._waiting: asyncio.Future[Answer] | None = None
-        self._transport: asyncio.Transport | None = None
-        self._closed = asyncio.get_running_loop().create_future()
         self._taken: dict[int, float | None] = {}
         self.numbered: bool | None = None
         """Whether answers name their variable; None until the first one."""
@@ -30,13 +26,6 @@ class HaasLink(asyncio.Protocol):
         """Two answers for the same variable have differed since `begin`."""
         self.not_understood = False
         """The control has answered since `begin` that it does not understand a line, this client's or another's."""
-        self.lost: str | None = None
-        """Why the link is lost; None while it stands."""
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Take the connection."""
-        assert isinstance(transport, asyncio.Transport)
-        self._transport = transport
 
     def data_received(self, data: bytes) -> None:
         """Take every answer that these bytes complete."""
@@ -47,12 +36,6 @@ class HaasLink(asyncio.Protocol):
         except HaasFormatError as error:
             self.abort(f"{self._name} gave an answer that cannot be: {error}")
 
-    def connection_lost(self, error: Exception | None) -> None:
-        """Tell who waits that the connection has ended."""
-        self.abort(f"{self._name} ended the connection" + (f": {error}" if error else ""))
-        if not self._closed.done():
-            self._closed.set_result(None)
-
     def begin(self) -> None:
         """Begin a batch: what was taken before contradicts nothing."""
         self._taken.clear()
@@ -60,34 +43,11 @@ class HaasLink(asyncio.Protocol):
 
     async def ask(self, lines: bytes, fits: Fits) -> Answer:
         """Send lines and return the first answer that fits; given up, it ends the link. Raises LinkError."""
-        if self.lost is not None or self._transport is None:
-            raise LinkError(self.lost or f"{self._name}: never connected")
-        waiting: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
-        self._waiting, self._fits = waiting, fits
+        self._fits = fits
         try:
-            self._transport.write(lines)
-            answer = await waiting
-        except asyncio.CancelledError:
-            self.abort(f"{self._name}: an answer was given up")
-            raise
+            return await self._answer_to(lines)
         finally:
-            self._waiting = self._fits = None
-        if self.lost is not None:
-            raise LinkError(self.lost)
-        return answer
-
-    def abort(self, reason: str) -> None:
-        """End the connection at once; who waits gets a LinkError with the first reason."""
-        self.lost = self.lost or reason
-        if self._transport is not None:
-            self._transport.abort()
-        if self._waiting is not None and not self._waiting.done():
-            self._waiting.set_exception(LinkError(self.lost))
-
-    async def ended(self) -> None:
-        """Wait until the socket is closed; call after `abort`."""
-        if self._transport is not None:
-            await self._closed
+            self._fits = None
 
     def _take(self, answer: Answer | Unknown | None) -> None:
         if isinstance(answer, Unknown):

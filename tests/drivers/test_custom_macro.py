@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.sim.nc.custom_macro import Interpreter, MacroControl, MacroError, compile_programs
+from drivers.sim.nc.custom_macro import Interpreter, MacroControl, NcError, compile_programs
 from drivers.sim.nc.nc import MacroTable
 
 
@@ -202,7 +202,7 @@ def test_dwells_are_left_to_whoever_runs_the_clock() -> None:
     ],
 )
 def test_everything_else_is_refused_with_its_line(body: str, problem: str) -> None:
-    with pytest.raises(MacroError, match=r"line \d+|O1") as refused:
+    with pytest.raises(NcError, match=r"line \d+|O1") as refused:
         run(body)
     assert problem in str(refused.value)
     if "occurs" not in problem and "no END" not in problem and "no end" not in problem:
@@ -211,15 +211,15 @@ def test_everything_else_is_refused_with_its_line(body: str, problem: str) -> No
 
 def test_calls_end_somewhere() -> None:
     machine = control()
-    with pytest.raises(MacroError, match="more than 5 calls"):
+    with pytest.raises(NcError, match="more than 5 calls"):
         Interpreter(compile_programs("O1\nG65P1\nM99"), machine).run(1)
-    with pytest.raises(MacroError, match="without M99"):
+    with pytest.raises(NcError, match="without M99"):
         Interpreter(compile_programs("O1\n#1=1"), machine).run(1)
-    with pytest.raises(MacroError, match="begins with its O number"):
+    with pytest.raises(NcError, match="begins with its O number"):
         compile_programs("#1=1")
     interpreter = Interpreter(compile_programs("O1\n#1=1\nM99"), machine)
     interpreter.start(1)
-    with pytest.raises(MacroError, match="still running"):
+    with pytest.raises(NcError, match="still running"):
         interpreter.start(1)
 
 
@@ -235,7 +235,7 @@ PIECES = [
 def test_whatever_the_text_is_it_runs_or_is_refused(pieces: list[str]) -> None:
     try:
         run("".join(pieces))
-    except MacroError as refused:
+    except NcError as refused:
         assert str(refused)
 
 
@@ -244,7 +244,7 @@ def test_numbers_beyond_all_bounds(body: str) -> None:
     machine = control()
     interpreter = Interpreter(compile_programs(f"O1\n{body}\nM99"), machine)
     if "FIX" in body:
-        with pytest.raises(MacroError, match=r"out of range|whole number"):
+        with pytest.raises(NcError, match=r"out of range|whole number"):
             interpreter.run(1)
     else:
         interpreter.run(1)

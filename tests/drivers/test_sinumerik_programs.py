@@ -9,7 +9,7 @@ from drivers.guard.programs import guard_text
 from drivers.guard.text import GuardPrograms, GuardStatus
 from drivers.sim.nc.nc import MacroTable
 from drivers.sim.nc.safe_point import SafePointApplication
-from drivers.sim.nc.sinumerik import SinumerikControl, SinumerikError, SinumerikInterpreter, compile_archive
+from drivers.sim.nc.sinumerik import NcError, SinumerikControl, SinumerikInterpreter, compile_archive
 
 GUARD = GuardConfig(dialect="sinumerik")
 REQUESTED = MAP.model_copy(
@@ -110,7 +110,7 @@ def test_a_vacant_parameter_is_a_number_that_stands_for_it() -> None:
     ],
 )
 def test_what_it_does_not_know_or_a_control_would_refuse_is_an_error_that_names_it(line: str) -> None:
-    with pytest.raises(SinumerikError) as refused:
+    with pytest.raises(NcError) as refused:
         ran(line, "TP_X:")
     assert "line 4" in str(refused.value) or "TP_NOWHERE" in str(refused.value) or "there is no" in str(refused.value)
 
@@ -129,7 +129,7 @@ def test_what_it_does_not_know_or_a_control_would_refuse_is_an_error_that_names_
     ],
 )
 def test_an_archive_that_is_none_is_refused(archive: str, words: str) -> None:
-    with pytest.raises(SinumerikError, match=words):
+    with pytest.raises(NcError, match=words):
         compile_archive(archive)
 
 

@@ -31,6 +31,7 @@ from drivers.focas.codec import (
 )
 from drivers.focas.requests import ADDITIONAL_OFFSET, MACROS_PER_BLOCK, WORK_OFFSET
 from drivers.sim.contract import SimulatedNc
+from drivers.sim.wires.listener import HOST, Listener
 from drivers.sim.wires.system_variables import system_variable
 
 SYSTEM = struct.pack(">hh2s2s4s4s2s", 0, 3, b"TP", b"SM", b"TOOL", b"PNT0", b"03")
@@ -149,43 +150,18 @@ class FocasResponder:
         return 0
 
 
-class SimulatedFocasServer:
+class SimulatedFocasServer(Listener["_Session"]):
     """A FOCAS2 server on 127.0.0.1 for one simulated NC."""
 
     def __init__(self, nc: SimulatedNc, config: CncConfig, *, port: int | None = None) -> None:
         """Prepare the server; `port` None takes the configured one, 0 any free one."""
         focas = config.connection_as(FocasConfig)
-        self._port = focas.port if port is None else port
+        super().__init__(focas.port if port is None else port)
         self.nc = nc
         self.responder = FocasResponder(nc, focas.tool_macro, focas.motor_temperature_diagnosis)
-        self.sessions: set[_Session] = set()
-        """Who is connected now."""
-        self._server: asyncio.Server | None = None
 
-    @property
-    def port(self) -> int:
-        """The port that is listened on (known after start)."""
-        return self._port
-
-    @property
-    def endpoint(self) -> str:
-        """Host and port for clients (known after start)."""
-        return f"127.0.0.1:{self._port}"
-
-    async def start(self) -> None:
-        """Listen."""
-        loop = asyncio.get_running_loop()
-        self._server = await loop.create_server(lambda: _Session(self), "127.0.0.1", self._port)
-        self._port = self._server.sockets[0].getsockname()[1]
-
-    async def stop(self) -> None:
-        """Close all connections and stop listening. May be called more than once."""
-        server, self._server = self._server, None
-        if server is not None:
-            server.close()
-            for session in list(self.sessions):
-                session.abort()
-            await server.wait_closed()
+    async def _listen(self, port: int) -> asyncio.Server:
+        return await asyncio.get_running_loop().create_server(lambda: _Session(self), HOST, port)
 
 
 class _Session(asyncio.Protocol):
@@ -200,10 +176,10 @@ class _Session(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = transport
-        self._server.sessions.add(self)
+        self._server.connections.add(self)
 
     def connection_lost(self, error: Exception | None) -> None:
-        self._server.sessions.discard(self)
+        self._server.connections.discard(self)
 
     def abort(self) -> None:
         self._transport.abort()
@@ -225,7 +201,7 @@ class _Session(asyncio.Protocol):
         if frame.direction != Direction.REQUEST:
             raise FocasFormatError("a request has direction 01")
         if frame.kind == Kind.OPEN:
-            others = sum(session._open for session in self._server.sessions if session is not self)
+            others = sum(session._open for session in self._server.connections if session is not self)
             if others >= MOST_SESSIONS:
                 return Frame(Kind.OPEN, Direction.REFUSED)
             self._open = True

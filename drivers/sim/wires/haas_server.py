@@ -14,6 +14,7 @@ from drivers.haas.cnc import SIMULATED_SERIAL_NUMBER
 from drivers.haas.codec import DECIMALS, HaasFormatError, LineBuffer, Query, Write, encode_fields, parse_request
 from drivers.haas.requests import MACHINE_POSITION, METRIC, MOST_AXES, OFFSET_P, UNIT_CODE
 from drivers.sim.contract import SimulatedNc
+from drivers.sim.wires.listener import HOST, Listener
 from drivers.sim.wires.system_variables import system_variable
 
 MOST_CONNECTIONS = 2
@@ -102,43 +103,18 @@ class HaasResponder:
         return ACKNOWLEDGED
 
 
-class SimulatedHaasServer:
+class SimulatedHaasServer(Listener["_Connection"]):
     """Machine data collection on 127.0.0.1 for one simulated NC."""
 
     def __init__(self, nc: SimulatedNc, config: CncConfig, *, port: int | None = None) -> None:
         """Prepare the server; `port` None takes the configured one, 0 any free one."""
         haas = config.connection_as(HaasConfig)
-        self._port = haas.port if port is None else port
+        super().__init__(haas.port if port is None else port)
         self.nc = nc
         self.responder = HaasResponder(nc, haas)
-        self.connections: set[_Connection] = set()
-        """Who is connected now."""
-        self._server: asyncio.Server | None = None
 
-    @property
-    def port(self) -> int:
-        """The port that is listened on (known after start)."""
-        return self._port
-
-    @property
-    def endpoint(self) -> str:
-        """Host and port for clients (known after start)."""
-        return f"127.0.0.1:{self._port}"
-
-    async def start(self) -> None:
-        """Listen."""
-        loop = asyncio.get_running_loop()
-        self._server = await loop.create_server(lambda: _Connection(self), "127.0.0.1", self._port)
-        self._port = self._server.sockets[0].getsockname()[1]
-
-    async def stop(self) -> None:
-        """Close all connections and stop listening. May be called more than once."""
-        server, self._server = self._server, None
-        if server is not None:
-            server.close()
-            for connection in list(self.connections):
-                connection.abort()
-            await server.wait_closed()
+    async def _listen(self, port: int) -> asyncio.Server:
+        return await asyncio.get_running_loop().create_server(lambda: _Connection(self), HOST, port)
 
     def send(self, data: bytes) -> None:
         """Send to everybody who is connected."""

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 
 from paho.mqtt.client import topic_matches_sub
 
+from drivers.sim.wires.listener import HOST, Listener
+
 CONNECT, PUBLISH, SUBSCRIBE, PING, DISCONNECT = 1, 3, 8, 12, 14
 """Kinds of packets: the upper half of their first byte."""
 ACCEPTED, WRONG_VERSION = b"\x20\x02\x00\x00", b"\x20\x02\x00\x01"
@@ -20,32 +22,15 @@ class BrokenPacketError(ValueError):
     """A packet that this broker does not take; it ends the connection."""
 
 
-class SimulatedBroker:
+class SimulatedBroker(Listener[asyncio.WriteTransport]):
     """Clients subscribe, the owner publishes with quality of service 0."""
 
     def __init__(self, port: int) -> None:
-        self._port = port
-        self._server: asyncio.Server | None = None
+        super().__init__(port)
         self._topics: dict[asyncio.StreamWriter, list[str]] = {}
 
-    @property
-    def port(self) -> int:
-        """The port that is listened on (known after start)."""
-        return self._port
-
-    async def start(self) -> None:
-        """Listen."""
-        self._server = await asyncio.start_server(self._serve, "127.0.0.1", self._port)
-        self._port = int(self._server.sockets[0].getsockname()[1])
-
-    async def stop(self) -> None:
-        """Close all connections and stop listening. May be called more than once."""
-        server, self._server = self._server, None
-        if server is not None:
-            server.close()
-            for writer in list(self._topics):
-                writer.transport.abort()
-            await server.wait_closed()
+    async def _listen(self, port: int) -> asyncio.Server:
+        return await asyncio.start_server(self._serve, HOST, port)
 
     def publish(self, messages: Mapping[str, bytes]) -> int:
         """Send each message to who has subscribed to its topic; return to how many at least one has gone."""
@@ -64,6 +49,7 @@ class SimulatedBroker:
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._topics[writer] = []
+        self.connections.add(writer.transport)
         try:
             connected = False
             while True:
@@ -85,6 +71,7 @@ class SimulatedBroker:
             pass
         finally:
             del self._topics[writer]
+            self.connections.discard(writer.transport)
             writer.close()
 
     def _subscribed(self, writer: asyncio.StreamWriter, body: bytes) -> bytes:

@@ -10,6 +10,7 @@ from xml.sax.saxutils import escape, quoteattr
 from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import MtconnectConfig
 from drivers.sim.contract import SimulatedNc
+from drivers.sim.wires.listener import HOST, Listener
 
 UUID = "toolpoint-simulated"
 DEVICE = "SimulatedMachine"
@@ -35,16 +36,14 @@ HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n'
 SCHEMA = "urn:mtconnect.org:{0}:1.8"
 
 
-class SimulatedMtconnectAgent:
+class SimulatedMtconnectAgent(Listener[asyncio.WriteTransport]):
     """Looks at the NC whenever it is asked, and remembers what has changed."""
 
     def __init__(self, nc: SimulatedNc, config: CncConfig, *, port: int | None = None) -> None:
         """`port` None takes the configured one, 0 any free one."""
         self._nc = nc
         section = config.connection_as(MtconnectConfig)
-        self._port = section.port if port is None else port
-        self._server: asyncio.Server | None = None
-        self._open: set[asyncio.StreamWriter] = set()
+        super().__init__(section.port if port is None else port)
         self.instance = 1
         self.available = True
         """False: its adapter has lost the control."""
@@ -53,28 +52,12 @@ class SimulatedMtconnectAgent:
         self._buffer: deque[tuple[int, str, str]] = deque(maxlen=BUFFER)
 
     @property
-    def port(self) -> int:
-        """The port that is listened on (known after start)."""
-        return self._port
-
-    @property
     def endpoint(self) -> str:
         """Where clients find it (known after start)."""
-        return f"http://127.0.0.1:{self._port}"
+        return f"http://{super().endpoint}"
 
-    async def start(self) -> None:
-        """Listen."""
-        self._server = await asyncio.start_server(self._serve, "127.0.0.1", self._port)
-        self._port = int(self._server.sockets[0].getsockname()[1])
-
-    async def stop(self) -> None:
-        """Close all connections and stop listening. May be called more than once."""
-        server, self._server = self._server, None
-        if server is not None:
-            server.close()
-            for writer in list(self._open):
-                writer.transport.abort()
-            await server.wait_closed()
+    async def _listen(self, port: int) -> asyncio.Server:
+        return await asyncio.start_server(self._serve, HOST, port)
 
     def restart(self) -> None:
         """Begin anew as another instance, with nothing remembered."""
@@ -93,7 +76,7 @@ class SimulatedMtconnectAgent:
                 self._next += 1
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self._open.add(writer)
+        self.connections.add(writer.transport)
         try:
             head = await reader.readuntil(b"\r\n\r\n")
             self.look()
@@ -105,7 +88,7 @@ class SimulatedMtconnectAgent:
         except (asyncio.IncompleteReadError, asyncio.LimitOverrunError, ConnectionError, IndexError):
             writer.transport.abort()
         finally:
-            self._open.discard(writer)
+            self.connections.discard(writer.transport)
 
     def _answer(self, target: str) -> str:
         url = urlsplit(target)

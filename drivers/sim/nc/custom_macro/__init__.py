@@ -3,9 +3,9 @@
 The text is compiled once; afterwards it runs block by block, so that a reset can come between any two blocks.
 """
 
+from drivers.sim.nc.blocks import NcError
 from drivers.sim.nc.custom_macro.control import MacroControl
-from drivers.sim.nc.custom_macro.errors import MacroError
 from drivers.sim.nc.custom_macro.interpreter import Interpreter
 from drivers.sim.nc.custom_macro.program import MacroProgram, compile_programs
 
-__all__ = ["Interpreter", "MacroControl", "MacroError", "MacroProgram", "compile_programs"]
+__all__ = ["Interpreter", "MacroControl", "MacroProgram", "NcError", "compile_programs"]

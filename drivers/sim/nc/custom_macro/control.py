@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Sequence
 
 from drivers.sim.contract import Macros
-from drivers.sim.nc.custom_macro.errors import MacroError
+from drivers.sim.nc.blocks import NcError
 
 LOCALS = 34
 """Local variables are #1 to #33."""
@@ -62,7 +62,7 @@ class MacroControl:
             try:
                 return self.common.get(number)
             except KeyError as error:
-                raise MacroError(str(error.args[0])) from error
+                raise NcError(str(error.args[0])) from error
         if number == 3001:
             return float(math.floor(self.clock_s * 1000.0 - self.timer_zero_ms + 1e-6) % TIMER_WRAP_MS)
         if number == TOOL:
@@ -74,7 +74,7 @@ class MacroControl:
         if (axis := number - MACHINE_POSITION - 1) in range(len(self.positions_mm)):
             position_mm = self.positions_mm[axis]
             return None if position_mm is None else position_mm / self._unit_mm()
-        raise MacroError(f"variable #{number} cannot be read here")
+        raise NcError(f"variable #{number} cannot be read here")
 
     def set(self, number: int, value: float | None) -> None:
         """Write a variable outside the local ones."""
@@ -82,16 +82,16 @@ class MacroControl:
             try:
                 self.common.set(number, value)
             except (KeyError, ValueError) as error:
-                raise MacroError(str(error.args[0])) from error
+                raise NcError(str(error.args[0])) from error
         elif number == 3001:
             self.timer_zero_ms = self.clock_s * 1000.0 - (value or 0.0)
         else:
-            raise MacroError(f"variable #{number} cannot be written here")
+            raise NcError(f"variable #{number} cannot be written here")
 
     def set_external(self, letter: str, value: float) -> None:
         """Do `G10 L2 P0` for one axis: absolute in G90, added in G91, in the unit of G20 or G21."""
         if letter not in self.addresses:
-            raise MacroError(f"this control has the axes {' '.join(self.addresses)}, not {letter}")
+            raise NcError(f"this control has the axes {' '.join(self.addresses)}, not {letter}")
         axis = self.addresses.index(letter)
         wanted_mm = value * self._unit_mm() + (self.external_mm[axis] if self.modal[3] == 91 else 0.0)
         self.external_mm[axis] = round(wanted_mm / self.increment_mm) * self.increment_mm
@@ -100,7 +100,7 @@ class MacroControl:
         """Make a modal G code the active one of its group."""
         group = {90: 3, 91: 3, 93: 5, 94: 5, 95: 5, 20: 6, 21: 6}.get(code)
         if group is None:
-            raise MacroError(f"G{code} is not known here")
+            raise NcError(f"G{code} is not known here")
         self.modal[group] = code
 
     def power_on(self) -> None:

@@ -9,8 +9,8 @@ import operator
 from collections.abc import Callable
 from typing import TypeAlias
 
+from drivers.sim.nc.blocks import NcError
 from drivers.sim.nc.custom_macro.control import LOCALS, MacroControl
-from drivers.sim.nc.custom_macro.errors import MacroError
 from drivers.sim.nc.custom_macro.tokens import Reader
 
 
@@ -30,7 +30,7 @@ class Frame:
     def set(self, number: int, value: float | None) -> None:
         """Write a variable."""
         if number == 0:
-            raise MacroError("#0 cannot be written: it is always vacant")
+            raise NcError("#0 cannot be written: it is always vacant")
         if 0 < number < LOCALS:
             self.local[number] = value
         else:
@@ -78,7 +78,7 @@ def condition(reader: Reader) -> Condition:
     left = expression(reader)
     comparison = reader.take()
     if comparison not in _COMPARISONS:
-        raise MacroError(f"a comparison ({', '.join(_COMPARISONS)}) is expected instead of {comparison!r}")
+        raise NcError(f"a comparison ({', '.join(_COMPARISONS)}) is expected instead of {comparison!r}")
     right = expression(reader)
     reader.take("]")
     if comparison == "EQ":
@@ -120,7 +120,7 @@ def _atom(reader: Reader) -> Value:
     if reader.peek_kind() == "number":
         value = float(reader.take())
         return lambda _: value
-    raise MacroError(f"an expression is expected {f'instead of {text!r}' if text else 'at the end'} of {reader.line!r}")
+    raise NcError(f"an expression is expected {f'instead of {text!r}' if text else 'at the end'} of {reader.line!r}")
 
 
 def _signed(reader: Reader) -> Value:
@@ -144,7 +144,7 @@ def _variable(reader: Reader) -> Value:
 def whole_number(value: float) -> int:
     """Return a value as the whole number that it must be."""
     if not math.isfinite(value) or abs(value - round(value)) > 1e-6:
-        raise MacroError(f"{value:g} is no whole number")
+        raise NcError(f"{value:g} is no whole number")
     return round(value)
 
 
@@ -161,19 +161,19 @@ def _function(reader: Reader) -> Value:
 
 def _root(value: float) -> float:
     if value < 0.0:
-        raise MacroError(f"SQRT of {value:g}: there is none")
+        raise NcError(f"SQRT of {value:g}: there is none")
     return math.sqrt(value)
 
 
 def _divide(left: float, right: float) -> float:
     if right == 0.0:
-        raise MacroError("division by zero")
+        raise NcError("division by zero")
     return left / right
 
 
 def _modulo(left: float, right: float) -> float:
     if right == 0.0:
-        raise MacroError("MOD by zero")
+        raise NcError("MOD by zero")
     return math.fmod(left, right)
 
 

@@ -3,14 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from drivers.sim.nc.blocks import BlockInterpreter, NcError
 from drivers.sim.nc.custom_macro.control import MacroControl
-from drivers.sim.nc.custom_macro.errors import MacroError
 from drivers.sim.nc.custom_macro.expressions import Frame, whole_number
 from drivers.sim.nc.custom_macro.program import ARGUMENTS, MacroProgram
 
 DEEPEST_CALL = 5
-MOST_BLOCKS = 20_000
-"""A program that runs so many blocks without a dwell never ends."""
 EXTERNAL_OFFSET_TYPE, EXTERNAL_OFFSET_NUMBER = 2, 0
 """G10 L2 P0: external work offset."""
 
@@ -22,81 +20,24 @@ class _Level:
     index: int = 0
 
 
-class Interpreter:
-    """One control that runs one program at a time, with its sub-programs."""
+class Interpreter(BlockInterpreter[_Level]):
+    """One control of custom macro B."""
+
+    end_word = "M99"
 
     def __init__(self, programs: Mapping[int, MacroProgram], control: MacroControl) -> None:
+        super().__init__()
         self.programs = programs
         self.control = control
         self.frame = Frame(control)
-        self.dwell_s = 0.0
-        """What the latest block waits for [s]."""
-        self._levels: list[_Level] = []
 
-    @property
-    def running(self) -> bool:
-        """A program is under way."""
-        return bool(self._levels)
-
-    def start(self, number: int, **arguments: float) -> None:
-        """Begin a program as `G65 P` does, with arguments by letter; raises MacroError while another one runs."""
-        if self._levels:
-            raise MacroError(f"O{self._levels[0].program.number} is still running")
+    def _begin(self, number: int, arguments: dict[str, float]) -> None:
         self._call(number, arguments)
-
-    def run(self, number: int, **arguments: float) -> None:
-        """Run a program to its end, dwells taking no time."""
-        self.start(number, **arguments)
-        self.finish()
-
-    def finish(self) -> None:
-        """Go on to the end of what runs; raises MacroError when it has none."""
-        for _ in range(MOST_BLOCKS):
-            if not self._levels:
-                return
-            self.step()
-        raise MacroError(f"no end after {MOST_BLOCKS} blocks", where=self.where())
-
-    def wait(self) -> float | None:
-        """Go on to the next dwell; return its length [s], None at the end of the program."""
-        for _ in range(MOST_BLOCKS):
-            if not self._levels:
-                return None
-            self.step()
-            if self.dwell_s > 0.0:
-                return self.dwell_s
-        raise MacroError(f"no end after {MOST_BLOCKS} blocks", where=self.where())
-
-    def step(self) -> None:
-        """Run one block."""
-        level = self._levels[-1]
-        index = level.index
-        if index >= len(level.program.blocks):
-            raise MacroError("the program ends without M99", where=f"O{level.program.number}")
-        level.index = index + 1
-        self.dwell_s = 0.0
-        try:
-            target = level.program.blocks[index].action(self)
-        except (MacroError, OverflowError) as error:
-            where = level.program.where(index)
-            problem = error.problem if isinstance(error, MacroError) else "a number is out of range"
-            self.reset()
-            raise MacroError(problem, where=where) from error
-        if target is not None:
-            level.index = target
 
     def reset(self) -> None:
         """Do what the RESET key does: the program ends where it is, local variables become vacant."""
-        self._levels.clear()
+        super().reset()
         self.frame = Frame(self.control)
-        self.dwell_s = 0.0
-
-    def where(self) -> str:
-        """Return the block that comes next, '' when nothing runs."""
-        if not self._levels:
-            return ""
-        level = self._levels[-1]
-        return level.program.where(min(level.index, len(level.program.blocks) - 1))
 
     # --- what blocks do ------------------------------------------------------------------
 
@@ -114,7 +55,7 @@ class Interpreter:
                 self.control.set_modal(code)
         special = [code for code in codes if code not in (90, 91, 20, 21)]
         if len(special) > 1:
-            raise MacroError(f"G{special[0]} and G{special[1]} do not go together in one block here")
+            raise NcError(f"G{special[0]} and G{special[1]} do not go together in one block here")
         if special:
             self._special(special[0], given)
         elif given:
@@ -127,11 +68,11 @@ class Interpreter:
             self._dwell(given)
         elif code == 53:
             if given:
-                raise MacroError("G53 stands alone here: it only ends the reading ahead")
+                raise NcError("G53 stands alone here: it only ends the reading ahead")
         elif code == 65:
             self._call(whole_number(given.pop("P", 0.0)), given)
         else:
-            raise MacroError(f"G{code} is not known here")
+            raise NcError(f"G{code} is not known here")
 
     def _auxiliary(self, given: dict[str, float]) -> None:
         if set(given) == {"M"} and given["M"] in self.control.waiting_m_codes:
@@ -141,7 +82,7 @@ class Interpreter:
             self.control.feed_mm_min = given.get("F", self.control.feed_mm_min)
             return
         if given != {"M": 99.0}:
-            raise MacroError(f"{' '.join(f'{letter}{value:g}' for letter, value in given.items())} is not known here")
+            raise NcError(f"{' '.join(f'{letter}{value:g}' for letter, value in given.items())} is not known here")
         self._levels.pop()
         self.frame = self._levels[-1].frame if self._levels else Frame(self.control)
 
@@ -151,25 +92,25 @@ class Interpreter:
         elif set(given) == {"X"}:
             self.dwell_s = given["X"]
         else:
-            raise MacroError("G04 takes P [ms] or X [s]")
+            raise NcError("G04 takes P [ms] or X [s]")
 
     def _write_offset(self, given: dict[str, float]) -> None:
         axes = {letter: value for letter, value in given.items() if letter not in "LP"}
         if given.get("L") != EXTERNAL_OFFSET_TYPE or given.get("P") != EXTERNAL_OFFSET_NUMBER:
-            raise MacroError("of G10 only L2 P0 is known here, the external work offset")
+            raise NcError("of G10 only L2 P0 is known here, the external work offset")
         for letter, value in axes.items():
             self.control.set_external(letter, value)
 
     def _call(self, number: int, arguments: Mapping[str, float]) -> None:
         program = self.programs.get(number)
         if program is None:
-            raise MacroError(f"there is no program O{number}")
+            raise NcError(f"there is no program O{number}")
         if len(self._levels) >= DEEPEST_CALL:
-            raise MacroError(f"more than {DEEPEST_CALL} calls within one another")
+            raise NcError(f"more than {DEEPEST_CALL} calls within one another")
         frame = Frame(self.control)
         for letter, value in arguments.items():
             if letter not in ARGUMENTS:
-                raise MacroError(f"G65 takes no argument {letter}")
+                raise NcError(f"G65 takes no argument {letter}")
             frame.local[ARGUMENTS[letter]] = value
         self._levels.append(_Level(program, frame))
         self.frame = frame

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from drivers.sim.nc.custom_macro.errors import MacroError
+from drivers.sim.nc.blocks import NcError
 from drivers.sim.nc.custom_macro.expressions import (
     Condition,
     Frame,
@@ -64,10 +64,15 @@ class MacroProgram:
     labels: dict[int, int] = field(default_factory=dict)
     """Index of the block that carries an N number."""
 
+    @property
+    def name(self) -> str:
+        """As the control shows it."""
+        return f"O{self.number}"
+
     def where(self, index: int) -> str:
         """Return program, line and text of a block."""
         block = self.blocks[index]
-        return f"O{self.number} line {block.line} ({block.text})"
+        return f"{self.name} line {block.line} ({block.text})"
 
 
 @dataclass(slots=True)
@@ -82,7 +87,7 @@ class _Building:
 
 
 def compile_programs(text: str) -> dict[int, MacroProgram]:
-    """Return the programs of a text by O number; raises MacroError naming line and statement."""
+    """Return the programs of a text by O number; raises NcError naming line and statement."""
     programs: dict[int, MacroProgram] = {}
     building: _Building | None = None
     for line_number, raw in enumerate(text.splitlines(), start=1):
@@ -95,16 +100,16 @@ def compile_programs(text: str) -> dict[int, MacroProgram]:
                 _finish(building)
                 building = _Building(_head(reader))
                 if building.program.number in programs:
-                    raise MacroError(f"O{building.program.number} occurs twice")
+                    raise NcError(f"O{building.program.number} occurs twice")
                 programs[building.program.number] = building.program
             elif building is None:
-                raise MacroError("a program begins with its O number")
+                raise NcError("a program begins with its O number")
             else:
                 _add(building, reader, line_number)
-        except MacroError as error:
+        except NcError as error:
             if error.where:
                 raise
-            raise MacroError(error.problem, where=f"line {line_number} ({line})") from error
+            raise NcError(error.problem, where=f"line {line_number} ({line})") from error
     _finish(building)
     return programs
 
@@ -121,10 +126,10 @@ def _finish(building: _Building | None) -> None:
         return
     program = building.program
     if building.loops:
-        raise MacroError(f"DO{building.loops[-1][0]} has no END", where=f"O{program.number}")
+        raise NcError(f"DO{building.loops[-1][0]} has no END", where=f"O{program.number}")
     for line, target, text in building.targets:
         if target not in program.labels:
-            raise MacroError(f"there is no N{target} in O{program.number}", where=f"line {line} ({text})")
+            raise NcError(f"there is no N{target} in O{program.number}", where=f"line {line} ({text})")
 
 
 def _add(building: _Building, reader: Reader, line: int) -> None:
@@ -133,7 +138,7 @@ def _add(building: _Building, reader: Reader, line: int) -> None:
     if labelled:
         number = reader.whole()
         if number in program.labels:
-            raise MacroError(f"N{number} occurs twice")
+            raise NcError(f"N{number} occurs twice")
         program.labels[number] = len(program.blocks)
     if reader.done and not labelled:
         return
@@ -171,7 +176,7 @@ def _assignment(reader: Reader) -> Action:
         return lambda run: run.frame.set(whole_number(number(run.frame)), value(run.frame))
     if number < 34:
         if number == 0:
-            raise MacroError("#0 cannot be written: it is always vacant")
+            raise NcError("#0 cannot be written: it is always vacant")
         return _set_local(number, value)
     return lambda run: run.frame.control.set(number, value(run.frame))
 
@@ -200,7 +205,7 @@ def _if(building: _Building, reader: Reader, line: int) -> Action:
     elif reader.peek() == "GOTO":
         then = _goto(building, reader, line)
     else:
-        raise MacroError("GOTO or THEN is expected after IF[..]")
+        raise NcError("GOTO or THEN is expected after IF[..]")
     return lambda run: then(run) if holds(run.frame) else None
 
 
@@ -217,7 +222,7 @@ def _goto(building: _Building, reader: Reader, line: int) -> Action:
 
 def _label(labels: dict[int, int], number: int) -> int:
     if number not in labels:
-        raise MacroError(f"there is no N{number}")
+        raise NcError(f"there is no N{number}")
     return labels[number]
 
 
@@ -227,7 +232,7 @@ def _while(building: _Building, reader: Reader) -> Action:
     reader.take("DO")
     number = reader.whole()
     if not 1 <= number <= MOST_LOOPS or number in (loop for loop, _ in building.loops):
-        raise MacroError(f"DO{number}: loops are numbered 1 to {MOST_LOOPS}, each once within another")
+        raise NcError(f"DO{number}: loops are numbered 1 to {MOST_LOOPS}, each once within another")
     start, ends = len(building.program.blocks), building.ends
     building.loops.append((number, start))
     return lambda run: None if holds(run.frame) else ends[start]
@@ -237,7 +242,7 @@ def _end(building: _Building, reader: Reader) -> Action:
     reader.take("END")
     number = reader.whole()
     if not building.loops or building.loops[-1][0] != number:
-        raise MacroError(f"END{number} closes no loop")
+        raise NcError(f"END{number} closes no loop")
     _, start = building.loops.pop()
     building.ends[start] = len(building.program.blocks) + 1
     return lambda run: start
@@ -250,11 +255,11 @@ def _words(reader: Reader) -> Action:
     while not reader.done:
         letter = reader.take()
         if len(letter) != 1 or not letter.isalpha():
-            raise MacroError(f"{letter!r} is no address")
+            raise NcError(f"{letter!r} is no address")
         literal = reader.peek()
         words.append((letter, _word_value(reader)))
         if calls and letter not in "GP" and literal.isdigit():
-            raise MacroError(f"{letter}{literal}: an argument without a decimal point counts in least increments")
+            raise NcError(f"{letter}{literal}: an argument without a decimal point counts in least increments")
         calls = calls or (letter == "G" and literal == "65")
     return lambda run: run.words([(letter, value(run.frame)) for letter, value in words])
 
@@ -263,7 +268,7 @@ def _word_value(reader: Reader) -> Value:
     """Compile a number, a variable or an expression in brackets, each with its sign."""
     negative = reader.accept("-")
     if reader.peek() not in ("#", "[") and reader.peek_kind() != "number":
-        raise MacroError(f"an address takes a number, a variable or [..], not {reader.peek()!r}")
+        raise NcError(f"an address takes a number, a variable or [..], not {reader.peek()!r}")
     if reader.peek_kind() == "number":
         constant = float(reader.take()) * (-1.0 if negative else 1.0)
         return lambda _: constant

@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-from drivers.sim.nc.custom_macro.errors import MacroError
+from drivers.sim.nc.blocks import NcError
 
 TokenKind = Literal["comment", "number", "word", "mark"]
 
@@ -28,7 +28,7 @@ class Token:
 
 
 def tokens_of(line: str) -> list[Token]:
-    """Return the tokens of one block; raises MacroError for a character that a control does not take."""
+    """Return the tokens of one block; raises NcError for a character that a control does not take."""
     found: list[Token] = []
     position = 0
     while position < len(line):
@@ -37,7 +37,7 @@ def tokens_of(line: str) -> list[Token]:
             continue
         match = _PATTERN.match(line, position)
         if match is None:
-            raise MacroError(f"{line[position]!r} in {line!r} is no character of custom macro text")
+            raise NcError(f"{line[position]!r} in {line!r} is no character of custom macro text")
         kind = match.lastgroup
         assert kind is not None
         found.append(Token(kind, match[kind]))  # type: ignore[arg-type]
@@ -69,11 +69,11 @@ class Reader:
         return "" if self.done else self._tokens[self._next].kind
 
     def take(self, expected: str = "") -> str:
-        """Return the next token's text; raises MacroError when it is not the expected one."""
+        """Return the next token's text; raises NcError when it is not the expected one."""
         text = self.peek()
         if not text or (expected and text != expected):
             wanted = repr(expected) if expected else "more"
-            raise MacroError(f"{wanted} is expected {f'before {text!r}' if text else 'at the end'} of {self.line!r}")
+            raise NcError(f"{wanted} is expected {f'before {text!r}' if text else 'at the end'} of {self.line!r}")
         self._next += 1
         return text
 
@@ -88,10 +88,10 @@ class Reader:
         """Take a whole number."""
         text = self.take()
         if not text.isdigit():
-            raise MacroError(f"a whole number is expected instead of {text!r} in {self.line!r}")
+            raise NcError(f"a whole number is expected instead of {text!r} in {self.line!r}")
         return int(text)
 
     def finish(self) -> None:
-        """Raise MacroError when anything is left."""
+        """Raise NcError when anything is left."""
         if not self.done:
-            raise MacroError(f"{self.peek()!r} is not expected in {self.line!r}")
+            raise NcError(f"{self.peek()!r} is not expected in {self.line!r}")

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 from config.schema.guard import VACANT_R
 from drivers.sim.contract import Macros
+from drivers.sim.nc.blocks import NcError
 
 CLOCK_WRAP_S = 2_147_483.648
 """The simulated NC's clock begins again from 0 here; timers do not."""
@@ -20,15 +21,6 @@ PER_MINUTE = 2
 DEFAULT_GROUPS = {7: 1, 13: METRIC, 15: PER_MINUTE}
 """Active function of each G group after power-on: G40, G71, G94."""
 Action = Callable[["SinumerikControl"], None]
-
-
-class SinumerikError(Exception):
-    """A statement that the interpreter does not know, or that a control would refuse; names program and line."""
-
-    def __init__(self, problem: str, *, where: str = "") -> None:
-        self.problem = problem
-        self.where = where
-        super().__init__(f"{where}: {problem}" if where else problem)
 
 
 class SinumerikControl:
@@ -76,17 +68,17 @@ class SinumerikControl:
         try:
             value = self.common.get(number)
         except KeyError as error:
-            raise SinumerikError(f"there is no R{number}") from error
+            raise NcError(f"there is no R{number}") from error
         return VACANT_R if value is None else value
 
     def set_parameter(self, number: int, value: float) -> None:
         """Write an R parameter."""
         if not math.isfinite(value):
-            raise SinumerikError(f"R{number} cannot hold {value}")
+            raise NcError(f"R{number} cannot hold {value}")
         try:
             self.common.set(number, None if value == VACANT_R else value)
         except KeyError as error:
-            raise SinumerikError(f"there is no R{number}") from error
+            raise NcError(f"there is no R{number}") from error
 
     def timer(self, number: int) -> float:
         """Return an $AC_TIMER [s]; 0 until a program has started it."""
@@ -98,13 +90,13 @@ class SinumerikControl:
     def start_timer(self, number: int, value: float) -> None:
         """Let a timer run from a value on [s]."""
         if value < 0.0:
-            raise SinumerikError("stopping a timer is not known here")
+            raise NcError("stopping a timer is not known here")
         self._timers[number] = (value, self.clock_s)
 
     def axis(self, name: str) -> int:
         """Return the place of an axis."""
         if name not in self.addresses:
-            raise SinumerikError(f"this control has the axes {' '.join(self.addresses)}, not {name}")
+            raise NcError(f"this control has the axes {' '.join(self.addresses)}, not {name}")
         return self.addresses.index(name)
 
     @property

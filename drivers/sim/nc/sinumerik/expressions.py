@@ -10,7 +10,8 @@ import re
 from collections.abc import Callable
 from typing import Protocol, TypeAlias
 
-from drivers.sim.nc.sinumerik.control import SinumerikControl, SinumerikError
+from drivers.sim.nc.blocks import NcError
+from drivers.sim.nc.sinumerik.control import SinumerikControl
 
 Value: TypeAlias = bool | int | float
 EQUAL = 1e-12
@@ -54,7 +55,7 @@ class Tokens:
         while line[at:].strip():
             match = _TOKEN.match(line, at)
             if match is None:
-                raise SinumerikError(f"{line[at:].strip()[0]!r} in {line!r} is not known here")
+                raise NcError(f"{line[at:].strip()[0]!r} in {line!r} is not known here")
             self._found.append(match[0].strip())
             at = match.end()
 
@@ -63,10 +64,10 @@ class Tokens:
         return self._found[ahead] if ahead < len(self._found) else ""
 
     def take(self, expected: str = "") -> str:
-        """Take the next token; raises SinumerikError when it is not the expected one."""
+        """Take the next token; raises NcError when it is not the expected one."""
         text = self.peek()
         if not text or (expected and text != expected):
-            raise SinumerikError(f"{expected or 'more'!r} is expected before {text!r} in {self.line!r}")
+            raise NcError(f"{expected or 'more'!r} is expected before {text!r} in {self.line!r}")
         del self._found[0]
         return text
 
@@ -78,29 +79,29 @@ class Tokens:
         return True
 
     def finish(self) -> None:
-        """Raise SinumerikError when anything is left."""
+        """Raise NcError when anything is left."""
         if self._found:
-            raise SinumerikError(f"{self.peek()!r} is not expected in {self.line!r}")
+            raise NcError(f"{self.peek()!r} is not expected in {self.line!r}")
 
 
 def real(value: Value) -> float:
     """Return a number; a truth value is none."""
     if isinstance(value, bool):
-        raise SinumerikError("a truth value is no number")
+        raise NcError("a truth value is no number")
     return float(value)
 
 
 def whole(value: Value) -> int:
     """Return a whole number; a real one is none, even where its fraction is 0."""
     if isinstance(value, bool) or not isinstance(value, int):
-        raise SinumerikError(f"{value} is of the type REAL, and INT is needed")
+        raise NcError(f"{value} is of the type REAL, and INT is needed")
     return value
 
 
 def truth(value: Value) -> bool:
     """Return a truth value; a number is none."""
     if not isinstance(value, bool):
-        raise SinumerikError(f"{value} is a number, and a condition is needed")
+        raise NcError(f"{value} is a number, and a condition is needed")
     return value
 
 
@@ -134,7 +135,7 @@ def _multiplied(left: Value, right: Value) -> Value:
 
 def _divided(left: Value, right: Value) -> Value:
     if real(right) == 0.0:
-        raise SinumerikError("division by zero")
+        raise NcError("division by zero")
     return real(left) / real(right)
 
 
@@ -145,7 +146,7 @@ def _negative(value: Value) -> Value:
 
 def _int(value: float) -> int:
     if not -LARGEST_INT - 1 <= value <= LARGEST_INT:
-        raise SinumerikError(f"{value:g} is too large for INT")
+        raise NcError(f"{value:g} is too large for INT")
     return int(value)
 
 
@@ -177,7 +178,7 @@ def expression(tokens: Tokens) -> Expression:
     compare = _COMPARISONS[tokens.take()]
     right = _level(tokens, 0)
     if tokens.peek() in _COMPARISONS:
-        raise SinumerikError(f"a second comparison in {tokens.line!r} needs brackets")
+        raise NcError(f"a second comparison in {tokens.line!r} needs brackets")
     return lambda frame: compare(real(left(frame)), real(right(frame)))
 
 
@@ -226,11 +227,11 @@ def variable(text: str, line: str) -> Expression:
         number = int(match[1])
         return lambda frame: frame.control.parameter(number)
     if not text.startswith("_"):
-        raise SinumerikError(f"{text!r} in {line!r} is not known here")
+        raise NcError(f"{text!r} in {line!r} is not known here")
 
     def local(frame: Frame) -> Value:
         if text not in frame.local:
-            raise SinumerikError(f"{text} is not defined")
+            raise NcError(f"{text} is not defined")
         return frame.local[text]
 
     return local
@@ -266,4 +267,4 @@ def _system(tokens: Tokens, name: str) -> Expression:
         return lambda frame: frame.control.compensation_types[index]
     if name == "$MA_COMP_ADD_VELO_FACTOR":
         return lambda frame: frame.control.velocity_factors[index]
-    raise SinumerikError(f"{name} is not known here")
+    raise NcError(f"{name} is not known here")

@@ -5,7 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from drivers.sim.nc.sinumerik.control import SinumerikControl, SinumerikError
+from drivers.sim.nc.blocks import NcError
+from drivers.sim.nc.sinumerik.control import SinumerikControl
 from drivers.sim.nc.sinumerik.expressions import (
     Expression,
     Frame,
@@ -90,7 +91,7 @@ class SinumerikProgram:
 
 
 def compile_archive(text: str) -> dict[str, SinumerikProgram]:
-    """Return the programs of an archive by name; raises SinumerikError naming line and statement."""
+    """Return the programs of an archive by name; raises NcError naming line and statement."""
     programs: dict[str, SinumerikProgram] = {}
     program: SinumerikProgram | None = None
     for number, raw in enumerate(text.splitlines(), start=1):
@@ -100,16 +101,16 @@ def compile_archive(text: str) -> dict[str, SinumerikProgram]:
                 _finish(program)
                 program = SinumerikProgram(head[1])
                 if program.name in programs:
-                    raise SinumerikError(f"{program.name} occurs twice")
+                    raise NcError(f"{program.name} occurs twice")
                 programs[program.name] = program
             elif line.startswith(";") or not line:
                 continue
             elif program is None:
-                raise SinumerikError("an archive begins with %_N_ and the name of a program")
+                raise NcError("an archive begins with %_N_ and the name of a program")
             else:
                 _add(program, line, number)
-        except SinumerikError as error:
-            raise error if error.where else SinumerikError(error.problem, where=f"line {number} ({line})") from error
+        except NcError as error:
+            raise error if error.where else NcError(error.problem, where=f"line {number} ({line})") from error
     _finish(program)
     return programs
 
@@ -118,20 +119,20 @@ def _finish(program: SinumerikProgram | None) -> None:
     if program is None:
         return
     if program.open_ifs:
-        raise SinumerikError("an IF has no ENDIF", where=program.name)
+        raise NcError("an IF has no ENDIF", where=program.name)
     for at, kind, label, text in program.jumps:
         if label not in program.labels:
-            raise SinumerikError(f"there is no {label}: in {program.name}", where=text)
+            raise NcError(f"there is no {label}: in {program.name}", where=text)
         if (program.labels[label] > at) != (kind == "GOTOF"):
-            raise SinumerikError(f"{label}: does not lie in the direction of {kind}", where=text)
+            raise NcError(f"{label}: does not lie in the direction of {kind}", where=text)
 
 
 def _add(program: SinumerikProgram, line: str, number: int) -> None:
     if not program.blocks and not line.startswith("PROC "):
-        raise SinumerikError("a program begins with PROC")
+        raise NcError("a program begins with PROC")
     if label := _LABEL.fullmatch(line):
         if label[1] in program.labels or len(label[1]) > LONGEST_LABEL:
-            raise SinumerikError(f"the label {label[1]} occurs twice, or is too long")
+            raise NcError(f"the label {label[1]} occurs twice, or is too long")
         program.labels[label[1]] = len(program.blocks)
         return
     program.blocks.append(Block(number, line, _block(program, line)))
@@ -146,7 +147,7 @@ def _block(program: SinumerikProgram, line: str) -> Action:
         return _if(program, line)
     if line == "ENDIF":
         if not program.open_ifs:
-            raise SinumerikError("ENDIF closes no IF")
+            raise NcError("ENDIF closes no IF")
         program.open_ifs.pop().append(len(program.blocks))
         return _nothing
     if line.startswith(("GOTOF ", "GOTOB ")):
@@ -162,23 +163,23 @@ def _nothing(_: Running) -> None:
 def _head(program: SinumerikProgram, line: str) -> Action:
     match = _PROC.fullmatch(line)
     if match is None or match[1] != program.name or program.blocks:
-        raise SinumerikError(f"PROC {program.name} is expected once, at the head")
+        raise NcError(f"PROC {program.name} is expected once, at the head")
     if match[2]:
         found = [_PARAMETER.fullmatch(each.strip()) for each in match[2].split(",")]
         if not all(found):
-            raise SinumerikError("parameters are REAL here")
+            raise NcError("parameters are REAL here")
         program.parameters = tuple(each[1] for each in found if each)
     return _nothing
 
 
 def _definition(program: SinumerikProgram, kind: str, names: str) -> Action:
     if any(not block.text.startswith(("PROC ", "DEF ")) for block in program.blocks):
-        raise SinumerikError("definitions stand at the head of a program")
+        raise NcError("definitions stand at the head of a program")
     found: dict[str, Value] = {}
     for text in names.split(","):
         match = _DEFINED.fullmatch(text)
         if match is None:
-            raise SinumerikError(f"{text!r} is not known here")
+            raise NcError(f"{text!r} is not known here")
         value = int(match[2] or 0)
         found[match[1]] = value if kind == "INT" else float(value)
 
@@ -274,15 +275,15 @@ def _assignment(line: str) -> Action:
     if name == "$SA_TEMP_COMP_SLOPE":
         return lambda run: run.control.set_slope(index, real(value(run)))
     if not name.startswith("_"):
-        raise SinumerikError(f"{name!r} in {line!r} is not known here")
+        raise NcError(f"{name!r} in {line!r} is not known here")
 
     def local(run: Running) -> None:
         found = value(run)
         if name not in run.kinds:
-            raise SinumerikError(f"{name} is not defined")
+            raise NcError(f"{name} is not defined")
         if run.kinds[name] == "INT" and not isinstance(found, int):
             if not float(found).is_integer():
-                raise SinumerikError(f"{name} is INT, and {found} would be rounded")
+                raise NcError(f"{name} is INT, and {found} would be rounded")
             found = int(found)
         run.local[name] = real(found) if run.kinds[name] == "REAL" else found
 
