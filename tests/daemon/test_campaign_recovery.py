@@ -131,6 +131,19 @@ def test_a_fault_that_a_person_has_acknowledged_leads_to_hold_and_on() -> None:
     assert watch.times_s == {"frozen_cnc": [0.0]}, "counted from the acknowledgement"
 
 
+def test_switching_on_during_a_retreat_leads_on_from_the_retreat() -> None:
+    """After a restart into HOLD with nothing asked for, a person asks again while no estimate can be followed."""
+    ledger = Ledger()
+    watch = RecoveryWatch(ledger, 0.7)
+    watch.over({"killed_in_write"})
+    watch.good_input(100.0, claims("HOLD", wanted=(False,), in_domain=False))
+    asked = [(101.0, "HOLD", False), (102.0, "RETREAT", False), *((103.0 + n, "ARMED", True) for n in range(30))]
+    for time_s, state, wanted in asked:
+        if watch.open:
+            watch.look(time_s, truth(), claims(state, wanted=(wanted,), in_domain=False))
+    assert (ledger.counts["state_after_fault"].checked, ledger.violations) == (1, 0)
+
+
 def test_a_fault_that_ends_by_itself_is_wrong() -> None:
     ledger, watch = watched([])
     watch.left_fault(104.0, acknowledged=False)

@@ -162,6 +162,8 @@ class _Case:
     kinds: set[str]
     good_s: float | None = None
     state_then: str = ""
+    asked_for: bool = False
+    last_state: str = ""
     wrong_since_s: float | None = None
     took_s: float = 0.0
 
@@ -201,7 +203,8 @@ class RecoveryWatch:
         """The first good input after the case has arrived."""
         if self._case is not None and self._case.good_s is None:
             self._case.good_s = time_s
-            self._case.state_then = claims.state
+            self._case.state_then = self._case.last_state = claims.state
+            self._case.asked_for = any(claims.wanted)
 
     def left_fault(self, time_s: float, *, acknowledged: bool) -> None:
         """FAULT has been left: only a person may have done that; it leads to HOLD, and the way back begins anew."""
@@ -215,6 +218,9 @@ class RecoveryWatch:
         case = self._case
         if case is None or case.good_s is None:
             return
+        if any(claims.wanted) != case.asked_for:  # switched on or off since: the way begins anew from where it then was
+            case.asked_for, case.state_then = not case.asked_for, case.last_state
+        case.last_state = claims.state
         from_then = where_it_leads(case.state_then, truth, claims, self.least_confidence)
         from_now = where_it_leads(claims.state, truth, claims, self.least_confidence)
         if _same(claims.state, from_now) and _same(from_now, from_then):
