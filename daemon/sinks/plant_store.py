@@ -315,10 +315,12 @@ class PlantStore:
         self._stored += len(messages)
 
     def _row(self, message: paho.MQTTMessage) -> StoredRow | None:
+        topic = ""
         try:
-            row = row_of(message.topic, bytes(message.payload), self._config.mqtt.topic)
+            topic = message.topic  # which brokers other than mosquitto pass on with bytes that are no text
+            row = row_of(topic, bytes(message.payload), self._config.mqtt.topic)
         except (ValueError, RecursionError) as error:
-            log.warning("store.refused", topic=printable(message.topic)[:LONGEST_PROBLEM], problem=_said(error))
+            log.warning("store.refused", topic=printable(topic)[:LONGEST_PROBLEM], problem=_said(error))
             return None
         self._twins.saw(row.machine, _store_of(message))
         return row

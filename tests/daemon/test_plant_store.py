@@ -20,6 +20,7 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.publish import single
 from postgresql import PASSWORD, Server, postgresql
+from structlog.testing import capture_logs
 
 from config.schema.plant_store import PlantStoreConfig
 from daemon.cli import main
@@ -111,6 +112,17 @@ def section(server: Server, port: int, folder: Path, **changes: object) -> Plant
     there = {"host": "127.0.0.1", "port": server.port, "tls": False, "password_file": folder / "password"}
     broker = {"host": "127.0.0.1", "port": port, "tls": False} | changes
     return PlantStoreConfig.model_validate({"mqtt": broker, "postgresql": there})
+
+
+def test_a_topic_that_is_no_text_is_left_out(tmp_path: Path) -> None:
+    """A broker that does not look at topics passes it on, again and again where nobody acknowledges it."""
+    there = {"mqtt": {"host": "b", "tls": False}, "postgresql": {"host": "db", "tls": False}}
+    store = PlantStore(PlantStoreConfig.model_validate(there), threading.Event())
+    message = paho.MQTTMessage(topic=b"toolpoint/mill\xff/history/events")
+    message.payload = json.dumps(EVENT).encode()
+    with capture_logs() as said:
+        assert store._row(message) is None
+    assert said[0]["event"] == "store.refused"
 
 
 def test_a_message_that_the_database_refuses_keeps_no_other_back(server: Server, tmp_path: Path) -> None:

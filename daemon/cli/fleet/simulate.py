@@ -39,14 +39,14 @@ def simulate(
     its own. Its rows end about now, or follow those that the database has of it. Exit status 1 when a row was lost or
     doubled. Passwords stand in the environment (PGPASSWORD, TOOLPOINT_BROKER_PASSWORD): all see a command line.
     """
-    from daemon.simulation.fleet.run import check_broker, plan_of, route_of, simulate_fleet
+    from daemon.simulation.fleet.run import check_route, plan_of, route_of, simulate_fleet
 
     if directory is not None:
         directory.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() if directory is None else nullcontext(str(directory)) as folder:
         route = route_of(dsn, mqtt, Path(folder), period_s)
         plan = plan_of(Path(folder), machines, minutes, speed, dsn)
-        check_broker(route)
+        check_route(route)
         result = simulate_fleet(plan, route, say=say)
     found = result.as_json()
     write_json(json_path, found)

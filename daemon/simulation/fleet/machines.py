@@ -78,8 +78,8 @@ class FleetPlan:
 
     @property
     def cycles(self) -> int:
-        """Passes over every line."""
-        return max(1, round(self.minutes * 60.0 / PERIOD_S))
+        """Passes over every line; the first is there before the senders, and tells of no delay."""
+        return max(2, round(self.minutes * 60.0 / PERIOD_S))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,6 +18,7 @@ from urllib.parse import unquote, urlsplit
 import numpy as np
 import psycopg
 from psycopg.conninfo import conninfo_to_dict
+from psycopg.pq import Conninfo
 from pydantic import BaseModel, ValidationError
 
 from config.schema.plant_store import PlantStoreConfig, SubscriptionConfig
@@ -30,6 +31,7 @@ from daemon.simulation.fleet.machines import FleetPlan, Recorded, fleet_configur
 from daemon.simulation.fleet.senders import run_senders, run_store
 from daemon.sinks.broker import Broker, Message
 from daemon.sinks.contract import SinkError
+from daemon.sinks.database import Database
 from daemon.sinks.outbox import STREAMS, Outbox
 
 SINK = "plant"
@@ -217,7 +219,7 @@ def plan_of(folder: Path, machines: int, minutes: float, speed: float, dsn: str)
 def database_of(dsn: str, folder: Path) -> PostgresqlConfig:
     """Return the section of a database; its password goes into a file of the folder."""
     try:
-        known = conninfo_to_dict(dsn)
+        known = _of_environment() | conninfo_to_dict(dsn)
     except psycopg.Error as error:
         raise SimulationError(f"--postgres: {' '.join(str(error).split())}") from error
     if (mode := known.get("sslmode", "disable")) not in ("disable", "verify-full"):
@@ -233,6 +235,13 @@ def database_of(dsn: str, folder: Path) -> PostgresqlConfig:
     if "password" in known:
         there["password_file"] = _secret(folder / "database-password", str(known["password"]))
     return _made("--postgres", PostgresqlConfig, there)
+
+
+def _of_environment() -> dict[str, Any]:
+    """Return what PGHOST and its like say of a server, as the library does where the DSN does not."""
+    found = {each.keyword.decode(): each.val for each in Conninfo.get_defaults()}
+    names = ("host", "port", "dbname", "user", "password")
+    return {name: value.decode() for name in names if (value := found.get(name)) is not None}
 
 
 def _made(option: str, section: type[Made], there: Mapping[str, Any]) -> Made:
@@ -262,8 +271,17 @@ def broker_of(url: str, folder: Path) -> dict[str, Any]:
     return there
 
 
-def check_broker(route: Route) -> None:
-    """Connect once where the histories go over a broker; raises SimulationError, with what to do."""
+def check_route(route: Route) -> None:
+    """Connect once as the sinks and the store will; raises SimulationError, with what to do."""
+    there = route.sink.postgresql if route.store is None else route.store.postgresql
+    assert there is not None
+    database = Database(there, "--postgres", "toolpoint fleet simulate")
+    try:
+        database.open()
+    except SinkError as error:
+        raise SimulationError(f"{error}; host, port, dbname, user and password must stand in the DSN") from None
+    finally:
+        database.close()
     if route.sink.mqtt is None:
         return
     broker = Broker(route.sink.mqtt, "--mqtt", f"{TOPIC}-look")
