@@ -9,12 +9,14 @@ from daemon.compensation.handshake import Handshake
 from daemon.compensation.references import References, new_id
 from drivers.contract import FatalDriverError
 from models.control.nc_request import NcRequest, Refusal, RequestKind
+from models.control.program import power_cycled
 from models.control.state import OutputInputs, OutputMemory
-from models.records import WriteOutcome
+from models.records import CncSample, WriteOutcome
 
 HANDSHAKE_CAUSE = "handshake"
 """Cause of an answer in the audit."""
 UNANSWERED = "an answer to the NC program could not be written"
+SWITCHED_OFF = "the CNC was switched off and on since, as far as anybody has seen; ask again"
 
 
 @dataclass(slots=True, kw_only=True)
@@ -62,11 +64,13 @@ class RequestDesk:
         self._journal = journal
         self._output = output
         self._pending: _Pending | None = None
+        self._sample: CncSample | None = None
 
     async def look(self, session: CncSession) -> None:
         """Take what the poll shows: a new request, or one that the program no longer waits for."""
-        sample = session.sample
+        before, sample = self._sample, session.sample
         assert sample is not None
+        self._sample = sample
         if self._handshake.counter is None:
             self._begin(session)
             return
@@ -77,6 +81,8 @@ class RequestDesk:
         request, missed = self._handshake.take(found)
         if missed:
             self._references.end(missed)
+        if isinstance(request, NcRequest) and power_cycled(before, sample):
+            request = Refusal(why=SWITCHED_OFF, number=float(request.counter), may_have_positioned=False)
         if isinstance(request, Refusal):
             self._refuse(request)
         elif request is not None:

@@ -312,6 +312,31 @@ async def test_a_positioning_that_polling_saw_too_is_no_notice(rig, bench):
     assert not any("between two polls" in notice for notice in rig.control.journal.notices)
 
 
+@pytest.mark.parametrize("away", [False, True])
+async def test_what_was_asked_for_before_the_cnc_was_switched_off_is_no_positioning_after_it(rig, bench, away):
+    await rig.active(handshake=True)
+    await rig.follow(0.0, -8.0, 40)
+    asked = len(rig.asked)
+    if away:
+        bench.nc.reachable = False
+        await rig.turn(safe=False)
+    ask(bench, 1, REFERENCE)
+    bench.nc.power_cycle()
+    bench.clock.monotonic_s += 100.0
+    if away:
+        bench.nc.reachable = True
+        await rig.connected()
+    await rig.turn()
+    assert answer(bench) == -1.0
+    assert [type(item) for item in rig.asked[asked:]] == [ReferenceEnded] and rig.control.reference is None
+    assert any("switched off and on" in notice for notice in rig.control.journal.notices)
+    ask(bench, 2, REFERENCE)
+    await rig.turn()
+    rig.set_reference(last_asked(rig).reference_id)
+    await rig.follow(0.0, 0.0, 3)
+    assert answer(bench) == 2.0 and rig.state == "ACTIVE"
+
+
 async def test_a_clock_that_went_on_too_little_while_the_daemon_was_away_is_a_power_cycle(bench):
     async with running(bench.rig()) as rig:
         await rig.active()
