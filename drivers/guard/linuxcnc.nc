@@ -52,6 +52,9 @@ o21 if [#<enable> GT 0]
 (ABORT, TOOLPOINT SWITCH OFF FIRST)
 o21 endif
 o22 if [[#2 NE 1] AND [#{magic} EQ {magic_value}]]
+o24 if [#{pending} NE 0]
+(ABORT, TOOLPOINT OFFSET APPLIED)
+o24 endif
 @axes
 o23{number} if [ABS[#{mirror}] GE {half}]
 (ABORT, TOOLPOINT OFFSET APPLIED)

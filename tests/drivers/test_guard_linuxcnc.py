@@ -251,6 +251,18 @@ async def test_without_its_memory_it_moves_nothing(mill: Mill) -> None:
     assert (await mill.cnc.read_macros([513]))[513] == echo_before, "it echoes nothing that it does not know"
 
 
+async def test_a_step_that_is_not_settled_is_forgotten_only_when_a_person_says_so() -> None:
+    async with started() as mill:
+        await mill.linuxcnc.mdi("o<toolpoint> call [5]")
+        pending, planned = memory_of(CONFIG.guard, AXES)[:2]
+        await mill.linuxcnc.mdi(f"#{planned}=0.002", f"#{pending}=3", "G10 L2 P1 Z-100")
+        for call, status in {"[5]": GuardStatus.UNSETTLED, "[5] [1]": GuardStatus.DISABLED}.items():
+            await mill.linuxcnc.mdi(f"o<toolpoint> call {call}")
+            await mill.linuxcnc.do(["mode", "MODE_MDI"], ["wait"])
+            await mill.write({}, enable=4.0 if status is GuardStatus.UNSETTLED else 0.0)
+            assert await mill.guard() is status, call
+
+
 async def test_a_machine_in_inches_is_not_written_to() -> None:
     async with started("inch") as mill:
         assert "LINEAR_UNITS" in mill.cnc.cannot[Capability.WRITE_MACROS]
