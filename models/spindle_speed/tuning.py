@@ -230,15 +230,17 @@ def _wanted(
 def _watched(
     memory: SpeedTuningMemory, inputs: SpeedTuningInputs, settings: SpeedTuningSettings, target: float | None
 ) -> SpeedTuningMemory:
-    """Smooth the target and note since when it has been off the command."""
+    """Smooth the target and note since when it has been off the command; one that has jumped has yet to last."""
     if target is None:
         return replace(memory, target_rpm=math.nan, off_since_s=math.nan, last_s=inputs.now_s)
-    smoothed = target
-    if settings.filter_s > 0.0 and math.isfinite(memory.target_rpm) and _one_pocket(memory.target_rpm, inputs):
+    smoothed, stayed = target, _one_pocket(memory.target_rpm, inputs)
+    if settings.filter_s > 0.0 and stayed:
         elapsed_s = max(inputs.now_s - memory.last_s, 0.0)
         smoothed = target + (memory.target_rpm - target) * math.exp(-elapsed_s / settings.filter_s)
     off = abs(smoothed - memory.commanded_rpm) > settings.hysteresis_rpm
-    since = (memory.off_since_s if math.isfinite(memory.off_since_s) else inputs.now_s) if off else math.nan
+    jumped = not stayed and abs(target - memory.target_rpm) > settings.hysteresis_rpm
+    lasts = math.isfinite(memory.off_since_s) and not jumped
+    since = (memory.off_since_s if lasts else inputs.now_s) if off else math.nan
     return replace(memory, target_rpm=smoothed, off_since_s=since, last_s=inputs.now_s)
 
 

@@ -85,6 +85,25 @@ def test_a_target_that_goes_away_starts_the_dwell_anew() -> None:
     assert step(memory, at(37.0, choice(8700.0)), SETTINGS)[0].write
 
 
+def test_a_target_in_another_pocket_has_yet_to_last() -> None:
+    memory = begun()
+    for now_s in range(1, 60):
+        command, memory = step(memory, at(float(now_s), choice(10600.0), Phase.CUTTING), SETTINGS)
+    for now_s in (60.0, 70.0, 79.9):
+        command, memory = step(memory, at(now_s, choice(7000.0)), SETTINGS)
+        assert not command.write, "it is off the command for long, but there for a moment only"
+    command, memory = step(memory, at(80.1, choice(7000.0)), SETTINGS)
+    assert command.write and command.jump and command.speed_rpm == 7000.0
+
+
+def test_a_narrow_pocket_that_drifts_is_followed() -> None:
+    memory = begun()
+    for now_s in range(1, 60):
+        speed_rpm = 10600.0 + 2.0 * now_s
+        command, memory = step(memory, at(float(now_s), choice(speed_rpm, (speed_rpm, speed_rpm))), SETTINGS)
+    assert memory.commanded_rpm > 10600.0
+
+
 def test_another_pocket_is_one_jump() -> None:
     memory = begun()
     other = choice(6500.0, (6400.0, 6700.0))
