@@ -186,8 +186,11 @@ class _ObjectStore:
             return _read(file, columns)
 
     def put(self, name: str, content: bytes) -> None:
-        with self._files.open_output_stream(f"{self._root}/{name}") as stream:
+        path = f"{self._root}/{name}"
+        with self._files.open_output_stream(path) as stream:
             stream.write(content)
+        if (size := self._files.get_file_info(path).size) != len(content):
+            raise OSError(f"of {len(content)} bytes {size or 0} stand there afterwards")
 
 
 def _read(file: Path | io.BytesIO | pyarrow.NativeFile, columns: list[str] | None) -> pyarrow.Table:

@@ -1,8 +1,11 @@
 """The history as Parquet files by machine and day: whole files, each row once, read by DuckDB as the page says."""
 
+import contextlib
+import io
 import re
 import resource
 import threading
+from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -21,7 +24,9 @@ from daemon.sinks.running import SinkRunner
 
 pyarrow = pytest.importorskip("pyarrow", reason="pyarrow is not installed")
 parquet = pytest.importorskip("pyarrow.parquet")
-from daemon.sinks.parquet import ParquetSink, machine_folder  # noqa: E402 - needs pyarrow
+from pyarrow import fs  # noqa: E402 - needs pyarrow
+
+from daemon.sinks.parquet import ParquetSink, _ObjectStore, machine_folder  # noqa: E402 - needs pyarrow
 
 PAGE = Path(__file__).parents[2] / "docs/how-to/send-history-to-a-plant.md"
 DAY_S = 86_400.0
@@ -226,6 +231,31 @@ def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
 def test_a_place_is_a_folder_from_the_root_or_a_bucket(folder: str) -> None:
     with pytest.raises(ValueError, match="folder"):
         SinkConfig.model_validate({"name": "files", "driver": "parquet", "parquet": {"folder": folder}})
+
+
+def test_an_object_store_that_loses_a_part_does_not_count_as_one_that_took_it(tmp_path: Path) -> None:
+    class Losing:
+        """A store that says that all is well."""
+
+        lost = 1
+
+        def __init__(self) -> None:
+            self._files = fs.LocalFileSystem()
+
+        def get_file_info(self, path: str) -> fs.FileInfo:
+            return self._files.get_file_info(path)
+
+        @contextlib.contextmanager
+        def open_output_stream(self, path: str) -> Iterator[io.BytesIO]:
+            yield (content := io.BytesIO())
+            Path(path).write_bytes(content.getvalue()[: -self.lost or None])
+
+    store = _ObjectStore(f"file://{tmp_path}")
+    store._files = Losing()  # type: ignore[assignment]
+    with pytest.raises(OSError, match="of 9 bytes 8 stand there"):
+        store.put("day", b"a whole d")
+    store._files.lost = 0  # type: ignore[attr-defined]
+    store.put("day", b"a whole d")
 
 
 @pytest.mark.wires
