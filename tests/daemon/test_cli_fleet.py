@@ -2,9 +2,11 @@
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner, Result
@@ -13,7 +15,9 @@ from sisters import few_sensors, write_configuration, write_sister
 from config.loader import parse_yaml_model
 from config.recordings.machine_map import MachineMap
 from daemon.cli import main
+from daemon.workbench.thermal.fleet_report import contradictions, usual_share
 from models.thermal.family import model_from_json
+from models.thermal.training.fleet.fleet import LeftOut
 
 MACHINES = (1, 2, 3, 4)
 
@@ -98,15 +102,48 @@ def test_a_copy_of_a_recording_is_refused(fleet: Path, tmp_path: Path) -> None:
     assert "m4/day09.csv holds the same as" in result.output and "m1/day02.csv" in result.output
 
 
-def test_a_machine_that_the_others_contradict_is_named(fleet: Path, tmp_path: Path) -> None:
+def changed(fleet: Path, tmp_path: Path, change: Callable[[str, str, dict[str, str]], str]) -> Path:
+    """The fleet, with other values in the recordings of its fourth machine."""
     shutil.copytree(fleet, tmp_path / "fleet")
     for path in (tmp_path / "fleet" / "m4").glob("*.csv"):
         comment, head, *rows = path.read_text().splitlines()
-        at = head.split(",").index("Z1")
-        cells = [row.split(",") for row in rows]
-        turned = [",".join([*row[:at], str(-float(row[at])), *row[at + 1 :]]) for row in cells]
-        path.write_text("\n".join([comment, head, *turned]) + "\n")
-    result = train(tmp_path / "fleet", MACHINES, "--json", "-")
+        names = head.split(",")
+        cells = [dict(zip(names, row.split(","), strict=True)) for row in rows]
+        lines = [",".join(change(name, row[name], row) for name in names) for row in cells]
+        path.write_text("\n".join([comment, head, *lines]) + "\n")
+    return tmp_path / "fleet"
+
+
+def test_a_machine_of_which_the_others_know_little_is_named() -> None:
+    """Six sisters left so much of one another, one of them with swapped sensors: better than nothing, and strange."""
+    shares = (0.27, 0.17, 0.62, 0.13, 0.22, 0.20)
+
+    def left_out(number: int, share: float) -> LeftOut:
+        um = np.full(2, 10.0)
+        figures = {"without_um": um, "alone_um": None, "with_prior_um": share * um, "residual_um": np.zeros((0, 2))}
+        return LeftOut(machine=f"mill-{number}", recordings=0, tested_on=2, how="the mean of the fleet", **figures)
+
+    every = [left_out(number, share) for number, share in enumerate(shares)]
+    found = {one.machine: contradictions([one], ("Y", "Z"), usual_share(every)) for one in every}
+    (sentence,) = found.pop("mill-2")
+    assert sentence.startswith(
+        "what the other machines know leaves 62% of its error, and 21% of a usual one's: sensors"
+    )
+    assert not any(found.values())
+    assert not contradictions([every[2]], ("Y", "Z"), usual_share(every[:4])), "of four nobody knows which is strange"
+
+
+def test_a_recording_that_is_refused_is_named_with_its_machine(fleet: Path, tmp_path: Path) -> None:
+    """Those of all machines are called the same."""
+    channels = ("Y1", "Y2", "Z1", "Z2", "Z3")
+    folder = changed(fleet, tmp_path, lambda name, cell, _row: str(float(cell) / 1e3) if name in channels else cell)
+    result = train(folder)
+    assert result.exit_code == 2 and "machine mill-4: day01.csv" in result.output and "millimetres" in result.output
+
+
+def test_a_machine_that_the_others_contradict_is_named(fleet: Path, tmp_path: Path) -> None:
+    folder = changed(fleet, tmp_path, lambda name, cells, _row: str(-float(cells)) if name == "Z1" else cells)
+    result = train(folder, MACHINES, "--json", "-")
     assert result.exit_code == 0, result.output
     warnings = {machine["machine"]: machine["warnings"] for machine in json.loads(result.stdout)["machines"]}
     assert "what the other machines know makes it worse than nothing (Z1 -" in warnings["mill-4"][0]

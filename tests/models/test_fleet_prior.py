@@ -107,6 +107,25 @@ def test_one_recording_makes_a_model_that_helps_and_that_the_daemon_loads(
     assert np.allclose(outcome.thermal_error_um, expected, atol=1e-6)
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_channel_that_is_connected_the_wrong_way_round_takes_over_nothing(
+    of_type: MachineType, sister: list[Recording], count: int
+) -> None:
+    """And is named; the others lose nothing by it that matters."""
+    at = CHANNELS.index("Z1")
+    sign = np.where(np.arange(len(CHANNELS)) == at, -1.0, 1.0)
+    turned = [replace(one, displacements_um=one.displacements_um * sign) for one in sister]
+    model = trained(of_type, turned[:count])
+    assert "nothing for Z1, whose error that makes larger" in str(model.hyper_parameters["taken_over"])
+    for unseen in turned[3:]:
+        minutes = unseen.downsampled(60.0)
+        columns = with_sensors(minutes, model.sensor_names).temperatures_degc
+        estimated_um = model.recorded_um(minutes.time_s / 60.0, columns, minutes.speed_rpm, 0)
+        assert np.abs(estimated_um[:, at]).max() < 1e-9
+        left, without = left_um(model, unseen)
+        assert left < without
+
+
 def test_what_to_record_next_is_what_the_guide_says_of_few_recordings(
     of_type: MachineType, sister: list[Recording]
 ) -> None:

@@ -35,7 +35,8 @@ def train(
     from config.files import write_whole
     from config.recordings.machine_map import load_machine_map
     from daemon.telemetry.metrics import keep_one_heap
-    from daemon.workbench.thermal.fleet import fleet_executor, summary, train_fleet
+    from daemon.workbench.thermal.fleet import fleet_executor, train_fleet
+    from daemon.workbench.thermal.fleet_report import summary
 
     if dask is not None and workers != 1:
         raise click.UsageError("--workers is for processes of this computer; leave it out with --dask")

@@ -9,9 +9,7 @@ from datetime import UTC, datetime
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, TypeVar
-
-import numpy as np
+from typing import TypeVar
 
 from config.recordings.machine_map import MachineFiles, sensors_of
 from config.recordings.recording_map import ColumnError, RecordingMap, load_recording_map, resolve_columns, usual_map
@@ -20,7 +18,6 @@ from drivers.files.recording_csv import read_beginning
 from models.errors import RefusedInputError
 from models.recordings.dataset import DatasetError, Recording
 from models.recordings.slopes import SLOPE_SUFFIX
-from models.records import FloatArray
 from models.thermal.training.fleet.fleet import (
     LeftOut,
     Summary,
@@ -38,8 +35,6 @@ from models.thermal.training.making import sensor_ids_from_names
 
 MOST_SAMPLED = 8
 """So many machines, evenly spread, tell the directions of their type; only these are read twice."""
-WORSE = 1.1
-"""Errors that grow to this times what they are without a model are told."""
 RETRIES = 3
 """A task whose worker is lost is done again, so often."""
 
@@ -239,107 +234,25 @@ def read_machine(files: MachineFiles) -> tuple[list[Recording], float]:
 
 
 def _sample(one: Described, of_type: tuple[Part, ...], channels: tuple[str, ...]) -> Sample:
-    read, sample_s = read_machine(one.files)
-    return machine_sample(one.files.name, read, one.parts, of_type, channels, sample_s)
+    with naming(one.files):
+        read, sample_s = read_machine(one.files)
+        return machine_sample(one.files.name, read, one.parts, of_type, channels, sample_s)
 
 
 def _summary(
     task: tuple[Described, bool], of_type: tuple[Part, ...], channels: tuple[str, ...], space: Space
 ) -> Summary:
     one, tested = task
-    read, _ = read_machine(one.files)
-    return machine_summary(one.files.name, read, one.parts, of_type, channels, space, tested=tested)
+    with naming(one.files):
+        read, _ = read_machine(one.files)
+        return machine_summary(one.files.name, read, one.parts, of_type, channels, space, tested=tested)
 
 
-def summary(result: FleetTraining, path: Path | None) -> dict[str, Any]:
-    """Return what was learned, and how good it is on machines that were left out, for JSON."""
-    made = result.machine_type
-    left_out = {
-        one.machine: [each for each in result.left_out if each.machine == one.machine] for one in result.summaries
-    }
-    return {
-        "type": {
-            "file": None if path is None else str(path),
-            "type_id": made.type_id,
-            "sensors": len(made.parts),
-            "directions": made.space.directions.shape[1],
-            "lags_min": list(made.space.layout.lags_min),
-            "speed_lags_min": list(made.space.layout.speed_lags_min),
-            "channels": list(made.channels),
-            "machines_kept": list(made.machines),
-        },
-        "machines": [
-            {
-                "machine": one.machine,
-                "recordings": one.recordings,
-                "stale_recordings": one.stale,
-                "own_model": one.how,
-                "warnings": [*one.warnings, *_contradicted(left_out[one.machine], made.channels)],
-                "left_out": [_left_out(each, made.channels) for each in left_out[one.machine]],
-            }
-            for one in result.summaries
-        ],
-        "left_out": _together(result.left_out),
-    }
-
-
-def _contradicted(left_out: Sequence[LeftOut], channels: tuple[str, ...]) -> list[str]:
-    """Return a sentence where the mean of the other machines is worse than nothing on one that was left out."""
-    worse = [
-        f"{name} {1.0 - left_um / without_um:.0%}"
-        for one in left_out
-        if one.recordings == 0
-        for name, without_um, left_um in zip(channels, one.without_um, one.with_prior_um, strict=True)
-        if left_um > WORSE * without_um > 0.0
-    ]
-    if not worse:
-        return []
-    return [
-        f"what the other machines know makes it worse than nothing ({', '.join(worse)} of the error gone): channels "
-        "may be reversed or swapped, or it is of another type: train once without it, and see whether the others gain"
-    ]
-
-
-def _left_out(one: LeftOut, channels: tuple[str, ...]) -> dict[str, Any]:
-    def named(rmse_um: FloatArray) -> dict[str, float]:
-        """Return figures by channel."""
-        return dict(zip(channels, rmse_um.tolist(), strict=True))
-
-    return {
-        "recordings": one.recordings,
-        "tested_on": one.tested_on,
-        "rmse_um": {
-            "without": named(one.without_um),
-            "alone": None if one.alone_um is None else named(one.alone_um),
-            "with_prior": named(one.with_prior_um),
-        },
-        "reduction_rmse": {
-            "alone": None if one.alone_um is None else reduction(one.without_um, one.alone_um),
-            "with_prior": reduction(one.without_um, one.with_prior_um),
-        },
-        "taken_over": one.how,
-    }
-
-
-def reduction(without_um: FloatArray, left_um: FloatArray) -> float:
-    """Return the share of the error that is gone, mean over the channels that move."""
-    moves = without_um > 0.0
-    return float(1.0 - (left_um[moves] / without_um[moves]).mean()) if moves.any() else 0.0
-
-
-def _together(left_out: Sequence[LeftOut]) -> list[dict[str, Any]]:
-    """Return mean and worst reduction over the machines that were left out, by number of their own recordings."""
-    found = []
-    for count in sorted({one.recordings for one in left_out}):
-        of_count = [one for one in left_out if one.recordings == count]
-        prior = [reduction(one.without_um, one.with_prior_um) for one in of_count]
-        alone = [reduction(one.without_um, one.alone_um) for one in of_count if one.alone_um is not None]
-        found.append(
-            {
-                "recordings": count,
-                "machines": len(of_count),
-                "with_prior": {"mean": float(np.mean(prior)), "worst": min(prior)},
-                "alone": {"mean": float(np.mean(alone)), "worst": min(alone)} if alone else None,
-            }
-        )
-    return found
+@contextmanager
+def naming(files: MachineFiles) -> Iterator[None]:
+    """Name the machine of a recording that is refused: those of many machines are mostly called the same."""
+    try:
+        yield
+    except RefusedInputError as error:
+        machine = f"machine {files.name}: "
+        raise FleetError(f"{machine}{str(error).removeprefix(machine)}") from error

@@ -1,7 +1,8 @@
 """How a machine with few recordings takes over what its sisters know: a combination of their models, then freer.
 
 With no recording the mean of the fleet's models is taken. With one or two, a combination of them, no share negative,
-that is pulled towards the mean: it cannot leave what sisters do, and so cannot do much harm. A fit that may go anywhere
+and the mean, weighed: it cannot leave what sisters do, and so cannot do much harm, and what is special about a day is
+not all taken for the machine. A channel whose error that makes larger takes over nothing. A fit that may go anywhere
 from there is dangerous after one recording (it was worse than no model by a factor of five on one machine of eight).
 From three recordings on, what leaves least of left-out recordings is taken: combinations that are pulled more or less,
 of all channels or of each; from five on also free departures from them, or the machine's own ridge.
@@ -21,7 +22,11 @@ from models.thermal.training.ridge import PENALTIES
 FEW = 2
 """Up to so many recordings nothing is chosen."""
 FIRST_PULL = 0.3
-"""Pull towards the mean, as a share of what the mean explains, with few recordings; chosen on the tuning sisters."""
+"""Pull towards the mean, as a share of what the mean explains; chosen on the tuning sisters."""
+FEW_PULL = 0.01
+"""The same with one or two recordings, where the mean has its own weight beside."""
+FEW_SHARE = 0.6
+"""So much of what sets that combination apart from the mean is taken for the machine's; chosen so too."""
 FREE_FROM = 5
 """With fewer recordings only combinations are tried: of three, left-out ones chose free fits on tuning sisters, which
 were worse."""
@@ -130,7 +135,7 @@ def taken_over(products: Sequence[Products], members: FloatArray) -> Taken:
     if not products:
         return Taken(weights=mean, how="the mean of the fleet", fitter=lambda some: mean)
     if len(products) <= FEW:
-        return _taken(products, lambda some: combination(some, members), "a combination of the fleet's models")
+        return _taken(products, _weighed_with_mean(members), "a combination of the fleet's models")
     fitters: dict[str, Fitter] = {}
     for by_channel in (False, True):
         for pull in PULLS:
@@ -176,6 +181,17 @@ def relative(products: Products, weights: FloatArray) -> float:
     if not moves.any():
         return float("nan")
     return float(np.sqrt(products.left_um2(weights)[moves] / products.since_yy[moves]).mean())
+
+
+def _weighed_with_mean(members: FloatArray) -> Fitter:
+    mean = members.mean(axis=0)
+
+    def fit(some: Sequence[Products]) -> FloatArray:
+        weights = mean + FEW_SHARE * (combination(some, members, FEW_PULL) - mean)
+        whole = summed(some)
+        return np.where(whole.left_um2(weights) < whole.since_yy, weights, 0.0)
+
+    return fit
 
 
 def _combined(members: FloatArray, pull: float, by_channel: bool) -> Fitter:

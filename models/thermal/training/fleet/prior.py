@@ -67,6 +67,14 @@ def _advice(inputs: Inputs, rows: BoolArray, independent: int) -> tuple[str, ...
     return (sentence, *still_channels(inputs, rows))
 
 
+def _but(channels: tuple[str, ...], weights: FloatArray) -> str:
+    """Return which channels nothing was taken over for, after what was."""
+    none = [channel for channel, column in zip(channels, weights.T, strict=True) if not column.any()]
+    if not none:
+        return ""
+    return f", and nothing for {', '.join(none)}, whose error that makes larger: it may be reversed or swapped"
+
+
 class Sister:
     """A machine's columns in the directions of its type, and what the type knows of them.
 
@@ -162,7 +170,7 @@ class PriorProblem:
         self._fitter = taken.fitter
         self.hyper_parameters: HyperParameters = {
             "type": of_type.type_id,
-            "taken_over": taken.how,
+            "taken_over": taken.how + _but(inputs.channels, taken.weights),
             "machines": len(of_type.machines),
             "stale_recordings": stale,
             "lags_min": list(layout.lags_min),

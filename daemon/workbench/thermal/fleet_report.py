@@ -1,0 +1,130 @@
+"""What the training of a fleet says: how good a type is on machines that were left out, and which one to look at."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daemon.workbench.thermal.fleet import FleetTraining
+from models.records import FloatArray
+from models.thermal.training.fleet.fleet import LeftOut
+
+WORSE = 1.1
+"""Errors that grow to this times what they are without a model are told."""
+STRANGE = 2.0
+"""So many times the error that others leave, in the middle, a machine leaves of which the others know too little."""
+FEWEST_COMPARED = 5
+"""With fewer machines nobody knows which of them is strange."""
+
+
+def summary(result: FleetTraining, path: Path | None) -> dict[str, Any]:
+    """Return what was learned, and how good it is on machines that were left out, for JSON."""
+    made = result.machine_type
+    usual = usual_share(result.left_out)
+    left_out = {
+        one.machine: [each for each in result.left_out if each.machine == one.machine] for one in result.summaries
+    }
+    return {
+        "type": {
+            "file": None if path is None else str(path),
+            "type_id": made.type_id,
+            "sensors": len(made.parts),
+            "directions": made.space.directions.shape[1],
+            "lags_min": list(made.space.layout.lags_min),
+            "speed_lags_min": list(made.space.layout.speed_lags_min),
+            "channels": list(made.channels),
+            "machines_kept": list(made.machines),
+        },
+        "machines": [
+            {
+                "machine": one.machine,
+                "recordings": one.recordings,
+                "stale_recordings": one.stale,
+                "own_model": one.how,
+                "warnings": [*one.warnings, *contradictions(left_out[one.machine], made.channels, usual)],
+                "left_out": [_left_out(each, made.channels) for each in left_out[one.machine]],
+            }
+            for one in result.summaries
+        ],
+        "left_out": _together(result.left_out),
+    }
+
+
+def usual_share(left_out: Sequence[LeftOut]) -> float:
+    """Return what the mean of the others leaves of the error of a machine in the middle; with few machines inf."""
+    found = [left(one) for one in left_out if one.recordings == 0]
+    return float(np.median(found)) if len(found) >= FEWEST_COMPARED else float("inf")
+
+
+def contradictions(left_out: Sequence[LeftOut], channels: tuple[str, ...], usual: float) -> list[str]:
+    """Return a sentence where what the others know is of little use for a machine that was left out."""
+    worse = [
+        f"{name} {1.0 - left_um / without_um:.0%}"
+        for one in left_out
+        if one.recordings == 0
+        for name, without_um, left_um in zip(channels, one.without_um, one.with_prior_um, strict=True)
+        if left_um > WORSE * without_um > 0.0
+    ]
+    if not worse:
+        return [
+            f"what the other machines know leaves {left(one):.0%} of its error, and {usual:.0%} of a usual one's: "
+            "sensors or channels may be swapped, it may have changed between its recordings, or it is of another type: "
+            "look at it, train once without it, and see whether the others gain"
+            for one in left_out
+            if one.recordings == 0 and left(one) > STRANGE * usual
+        ]
+    return [
+        f"what the other machines know makes it worse than nothing ({', '.join(worse)} of the error gone): channels "
+        "may be reversed or swapped, or it is of another type: train once without it, and see whether the others gain"
+    ]
+
+
+def _left_out(one: LeftOut, channels: tuple[str, ...]) -> dict[str, Any]:
+    def named(rmse_um: FloatArray) -> dict[str, float]:
+        """Return figures by channel."""
+        return dict(zip(channels, rmse_um.tolist(), strict=True))
+
+    return {
+        "recordings": one.recordings,
+        "tested_on": one.tested_on,
+        "rmse_um": {
+            "without": named(one.without_um),
+            "alone": None if one.alone_um is None else named(one.alone_um),
+            "with_prior": named(one.with_prior_um),
+        },
+        "reduction_rmse": {
+            "alone": None if one.alone_um is None else reduction(one.without_um, one.alone_um),
+            "with_prior": reduction(one.without_um, one.with_prior_um),
+        },
+        "taken_over": one.how,
+    }
+
+
+def left(one: LeftOut) -> float:
+    """Return the share of the error that remains with what the others know."""
+    return 1.0 - reduction(one.without_um, one.with_prior_um)
+
+
+def reduction(without_um: FloatArray, left_um: FloatArray) -> float:
+    """Return the share of the error that is gone, mean over the channels that move."""
+    moves = without_um > 0.0
+    return float(1.0 - (left_um[moves] / without_um[moves]).mean()) if moves.any() else 0.0
+
+
+def _together(left_out: Sequence[LeftOut]) -> list[dict[str, Any]]:
+    """Return mean and worst reduction over the machines that were left out, by number of their own recordings."""
+    found = []
+    for count in sorted({one.recordings for one in left_out}):
+        of_count = [one for one in left_out if one.recordings == count]
+        prior = [reduction(one.without_um, one.with_prior_um) for one in of_count]
+        alone = [reduction(one.without_um, one.alone_um) for one in of_count if one.alone_um is not None]
+        found.append(
+            {
+                "recordings": count,
+                "machines": len(of_count),
+                "with_prior": {"mean": float(np.mean(prior)), "worst": min(prior)},
+                "alone": {"mean": float(np.mean(alone)), "worst": min(alone)} if alone else None,
+            }
+        )
+    return found
