@@ -13,7 +13,8 @@ from typing import Any
 
 from config.schema import Configuration
 from daemon.history.writer import HistoryWriter
-from daemon.model_release.repository import ReleaseRepository, proposals_folder
+from daemon.model_release.active import proposals_folder
+from daemon.model_release.repository import ReleaseRepository
 from daemon.monitor.commands import CommandDesk
 from daemon.monitor.web.application import MonitorParts
 from daemon.monitor.web.documents import Documents

@@ -1,17 +1,15 @@
 """The record of a commissioning: proof that sign, scale and axis of the compensation are right."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, ValidationError, model_validator
 
-from config.files import write_whole
 from config.schema.base import Section
 from config.schema.cnc import CHECK_MISSING, MacroMapConfig
 from config.schema.compensation import SlopeConfig
-from config.signing import SigningError, SigningKey, TrustedKeys, signature_beside, signature_of
+from config.signing import SigningError, TrustedKeys, signature_of
 from models.errors import RefusedInputError
 
 LEAST_PROOF_UM = 2.0
@@ -130,28 +128,6 @@ def load_commissioning(path: Path, trusted: Path | None = None) -> Commissioning
     except ValidationError as error:
         first = error.errors()[0]
         raise CommissioningError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
-
-
-def commissioning_text(record: CommissioningRecord) -> str:
-    """Return a record as the text of its file."""
-    content = record.model_dump(mode="json")
-    for axis in content["axes"].values():
-        if axis["slope"] is None:
-            del axis["slope"]  # versions before know nothing of it
-    return json.dumps(content, indent=2, allow_nan=False) + "\n"
-
-
-def save_commissioning(record: CommissioningRecord, path: Path, key: SigningKey | None = None) -> None:
-    """Write a record whole or not at all; raises CommissioningError, and the old file then stands."""
-    text = commissioning_text(record)
-    try:
-        if key is None:
-            signature_beside(path).unlink(missing_ok=True)
-        write_whole(path, text, 0o644)
-        if key is not None:
-            write_whole(signature_beside(path), key.signature("commissioning record", text.encode()), 0o644)
-    except OSError as error:
-        raise CommissioningError(f"{path}: the record cannot be written ({error.strerror})") from error
 
 
 ADVICE = "run `toolpoint commission`"

@@ -14,7 +14,8 @@ from typing import BinaryIO
 from config.files import sha256_of_stream
 from config.schema import Configuration
 from config.schema.source_drivers import SourceEntry
-from config.signing import SIGNATURE_SUFFIX, SigningError, SigningKey, TrustedKeys, signature_beside
+from config.signing import SIGNATURE_SUFFIX, SigningError, TrustedKeys, signature_beside
+from config.signing_key import SigningKey
 from daemon.backup.manifest import (
     COMMISSIONING_NAME,
     CONFIGURATION_NAME,
@@ -34,7 +35,7 @@ from daemon.backup.manifest import (
 from daemon.backup.names import backup_name, existing_backups
 from daemon.history.database import HistoryError, schema_version
 from daemon.history.retention import backup as copy_store
-from daemon.model_release.repository import released
+from daemon.model_release.active import released
 
 BACKUP_MODE = 0o640
 

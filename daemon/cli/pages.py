@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from daemon.cli.common import FILE, destination, option, refuse, say
+from daemon.cli.common import FILE, option, refuse, say
+from daemon.cli.options import destination
 
 html_option = option(
     "--html",

@@ -2,7 +2,8 @@
 
 from config.files import sha256_of
 from config.html_page import Section, html_page
-from config.records.commissioning import PROOF_TOLERANCE, CommissioningRecord, commissioning_text, macro_map_digest
+from config.records.commissioning import PROOF_TOLERANCE, CommissioningRecord, macro_map_digest
+from config.records.commissioning_file import commissioning_text
 from config.schema import Configuration
 
 PERMITS = (

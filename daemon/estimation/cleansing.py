@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from config.schema import Configuration
-from daemon.estimation.memory_watch import MemoryWatch
-from daemon.estimation.unit_watch import UnitWatch
+from daemon.estimation.memory_watch import MemoryWatch, UnitWatch
 from drivers.clock import Clock
 from models.align import RollingMean
 from models.cleanse import (

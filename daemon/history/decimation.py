@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from daemon.history.columns.codec import FloatArray
-from daemon.history.columns.extremes import Extremes, decode_extremes
 from daemon.history.columns.frames import Kind
 from daemon.history.columns.joining import ms_from_s
 from daemon.history.columns.kinds import CNC, DISPLACEMENTS, ESTIMATES, TEMPERATURES, WRITES
+from daemon.history.columns.packing import Extremes, decode_extremes
 from daemon.history.database import HOUR_MS
 from daemon.history.reader import TABLES, HistoryReader, naming_damage
 from models.quality import Quality

@@ -21,7 +21,7 @@ from config.schema.compensation import RetrainingConfig
 from config.schema.service import BackupConfig, HistoryConfig
 from daemon.backup.names import existing_backups
 from daemon.history.writer import HistoryWriter
-from daemon.model_release.repository import proposals_folder
+from daemon.model_release.active import proposals_folder
 from daemon.snapshots import JobSnapshot
 from daemon.telemetry.metrics import give_memory_back
 

@@ -10,9 +10,9 @@ from config.files import sha256_of
 from config.records.release_record import ReleaseRecord
 from config.schema import Configuration
 from config.signing import SigningError
+from daemon.model_release.active import release_signer, released
 from daemon.model_release.file_access import Account, how_it_could_change
 from daemon.model_release.gate import machine_inhibit, slope_inhibit, training_inhibit
-from daemon.model_release.repository import release_signer, released
 from daemon.snapshots import ModelSnapshot
 from models.model_file import ModelError
 from models.thermal.family import ThermalModel, model_from_json

@@ -12,12 +12,14 @@ from typing import cast
 from config.files import sha256_of
 from config.records.release_record import PreviousRelease, ReleaseRecord
 from config.schema import Configuration
-from config.signing import SigningError, SigningKey, TrustedKeys
+from config.signing import SigningError, TrustedKeys
+from config.signing_key import SigningKey
+from daemon.model_release.active import proposals_folder
 from daemon.model_release.file_access import account_of_daemon, how_it_could_change
 from daemon.model_release.gate import channels_in_use, machine_inhibit
 from daemon.model_release.loading import Named, model_from_text
 from daemon.model_release.release_checks import gate_inhibit, policy_inhibit
-from daemon.model_release.repository import ReleaseError, ReleaseRepository, proposals_folder
+from daemon.model_release.repository import ReleaseError, ReleaseRepository
 from models.thermal.family import ThermalModel
 
 LARGEST_MODEL = 64 * 2**20

@@ -23,53 +23,18 @@ from config.records.release_record import (
     ReleaseRecord,
     ReleaseRecordError,
     load_release_record,
-    read_release_record,
 )
-from config.schema import Configuration
-from config.signing import SigningError, SigningKey, TrustedKeys, signature_beside, signature_of
+from config.signing import signature_beside
+from config.signing_key import SigningKey
+from daemon.model_release.active import RECORD_NAME, released
 
 MODEL_NAME = "model.json"
-RECORD_NAME = "release.json"
 READABLE_FILE, READABLE_FOLDER = 0o644, 0o755
 """The daemon is another user and only reads."""
 
 
 class ReleaseError(Exception):
     """A release is refused or failed; the text says why and what to do."""
-
-
-def released(model_file: Path) -> tuple[ReleaseRecord | None, str]:
-    """Return the record of the active release (None where there is none), and why it must not be used."""
-    real = Path(os.path.realpath(model_file))
-    beside = real.with_name(RECORD_NAME)
-    if not beside.exists():
-        return None, ""
-    try:
-        record = load_release_record(beside)
-        digest = sha256_of(real.read_bytes())
-    except ReleaseRecordError as error:
-        return None, str(error)
-    except OSError as error:
-        return None, f"{real}: the model cannot be read ({error.strerror})"
-    if digest != record.sha256:
-        return record, (
-            f"{real}: this is not the file that {record.person} released on {record.released} (sha256 {digest[:12]}, "
-            f"released was {record.sha256[:12]}); release it again, or go back with `toolpoint model rollback`"
-        )
-    return record, ""
-
-
-def release_signer(model_file: Path, record: ReleaseRecord, trusted: Path) -> str:
-    """Return who has signed the record of the active release, '' where no key counts; raises SigningError."""
-    beside = Path(os.path.realpath(model_file)).with_name(RECORD_NAME)
-    try:
-        found, content = read_release_record(beside)
-        signature = signature_of(beside)
-    except (ReleaseRecordError, OSError) as error:
-        raise SigningError(f"{beside}: its signature cannot be read ({error})") from error
-    if found != record:
-        raise SigningError(f"{beside}: the release record changed while it was read; try again")
-    return TrustedKeys.read(trusted).signer("release record", content, signature, str(beside))
 
 
 class ReleaseRepository:
@@ -180,8 +145,3 @@ def _write(path: Path, content: bytes) -> None:
         file.flush()
         os.fsync(file.fileno())
     path.chmod(READABLE_FILE)
-
-
-def proposals_folder(configuration: Configuration) -> Path:
-    """Return where the daemon and its jobs put models that a person may release."""
-    return configuration.history.path.parent / "proposals"

@@ -8,10 +8,12 @@ from config.files import write_whole
 from config.records.commissioning import load_commissioning
 from config.records.release_record import ReleaseRecordError, read_release_record
 from config.schema import Configuration
-from config.signing import Purpose, SigningError, SigningKey, TrustedKeys, signature_beside, signature_of
+from config.signing import Purpose, SigningError, TrustedKeys, signature_beside, signature_of
+from config.signing_key import SigningKey
+from daemon.model_release.active import RECORD_NAME
 from daemon.model_release.bearings import bearing_repository
 from daemon.model_release.releasing import repository_of
-from daemon.model_release.repository import RECORD_NAME, ReleaseError, ReleaseRepository
+from daemon.model_release.repository import ReleaseError, ReleaseRepository
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

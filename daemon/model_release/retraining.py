@@ -9,8 +9,9 @@ from config.files import write_whole
 from config.schema import Configuration
 from config.schema.compensation import RetrainingConfig
 from daemon.history.reader import HistoryReader
+from daemon.model_release.active import proposals_folder
 from daemon.model_release.past_recordings import commissioned_um_per_unit, recordings_from_history
-from daemon.model_release.repository import READABLE_FILE, READABLE_FOLDER, proposals_folder
+from daemon.model_release.repository import READABLE_FILE, READABLE_FOLDER
 from models.json_values import finite_or_none
 from models.thermal.family import ThermalModel
 from models.thermal.training.train_family import train_family

@@ -24,7 +24,7 @@ from config.loader import load_configuration
 from config.schema import Configuration
 from config.schema.base import drivers_of
 from config.schema.cnc import CncConfig
-from daemon.monitor.control_socket import ControlClient, DaemonUnreachableError
+from daemon.monitor.control_client import ControlClient, DaemonUnreachableError
 from daemon.simulation import SimulationError
 from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.opcua.certificates import create_application_certificate

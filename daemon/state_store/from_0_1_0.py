@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import Any
 
-from daemon.state_store.codec import DocumentError, from_json
 from daemon.state_store.documents import (
     DaemonAlive,
     OutputFault,
@@ -11,6 +10,7 @@ from daemon.state_store.documents import (
     SpindleSpeedSwitch,
     WantedAxes,
 )
+from daemon.state_store.store import DocumentError, from_json
 from models.control.reference_records import ReferenceDocument
 from models.records import Instant
 

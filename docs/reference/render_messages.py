@@ -58,7 +58,6 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "daemon/estimation",
         "daemon/model_release/loading.py",
         "daemon/model_release/side_load.py",
-        "daemon/model_release/side_load.py",
     ),
     "The spindle speed": (
         "daemon/spindle_speed",

@@ -16,8 +16,15 @@ from types import MappingProxyType
 
 import numpy as np
 
-from models.control.positioning import counted, may_be_missed, seen_of
-from models.control.program import in_part_program, positioning_passed, power_cycled, stood_still_s
+from models.control.program import (
+    counted,
+    in_part_program,
+    may_be_missed,
+    positioning_passed,
+    power_cycled,
+    seen_of,
+    stood_still_s,
+)
 from models.control.reference_records import (
     Announcement,
     Effect,

@@ -6,8 +6,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from models.control.positioning import may_be_missed, seen_of
-from models.control.program import clocks_differ
+from models.control.program import clocks_differ, may_be_missed, seen_of
 from models.control.reference import SWITCHED_OFF, Step, end_of_reference, moved
 from models.control.reference_records import (
     Announcement,

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from models.align import block_means
 from models.errors import RefusedInputError
+from models.recordings.blocks import block_means
 from models.recordings.plausibility import impossible_displacements, impossible_speeds, impossible_temperatures
 from models.records import FloatArray
 
@@ -131,7 +131,7 @@ class Recording:
         )
 
     def downsampled(self, period_s: float) -> "Recording":
-        """Return block means over `period_s` [s] (see `models.align.block_means`).
+        """Return block means over `period_s` [s] (see `models.recordings.blocks.block_means`).
 
         A recording that is already sampled at the period, or more slowly, is returned unchanged:
         means cannot add rows.

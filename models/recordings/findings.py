@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from models.align import contiguous_runs
+from models.recordings.blocks import contiguous_runs
 from models.recordings.dataset import DatasetError, Recording
 from models.recordings.exchanged_sensors import Exchange, exchanges
 from models.recordings.plausibility import (

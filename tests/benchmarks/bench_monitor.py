@@ -29,7 +29,7 @@ from config.loader import load_configuration
 from config.machines import shipped_file
 from daemon.cli.simulate.demo import demo_machine
 from daemon.history import HistoryWriter
-from daemon.history.columns.extremes import temperature_extremes
+from daemon.history.columns.packing import temperature_extremes
 from daemon.history.columns.temperature_chunks import CycleBlock
 from daemon.history.decimation import SeriesReader, decimated
 from daemon.history.layout import MachineLayout

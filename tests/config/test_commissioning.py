@@ -17,8 +17,8 @@ from config.records.commissioning import (
     commissioning_inhibit,
     load_commissioning,
     macro_map_digest,
-    save_commissioning,
 )
+from config.records.commissioning_file import save_commissioning
 from daemon.commissioning.report import record_digest
 from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.sim.nc.safe_point import GUARD_VERSION

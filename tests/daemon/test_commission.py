@@ -4,7 +4,8 @@ import pytest
 import pytest_asyncio
 from commissioning_bench import Bench, Person, serving
 
-from config.records.commissioning import commissioning_inhibit, save_commissioning
+from config.records.commissioning import commissioning_inhibit
+from config.records.commissioning_file import save_commissioning
 from daemon.checkup.machine import preflight
 from drivers.sim.wires.cnc_face import SIMULATED
 from models.records import WriteOutcome

@@ -15,7 +15,8 @@ from starlette.responses import PlainTextResponse
 from structlog.testing import capture_logs
 
 from daemon.monitor import connections, control_socket
-from daemon.monitor.control_socket import ControlClient, ControlSocket
+from daemon.monitor.control_client import ControlClient
+from daemon.monitor.control_socket import ControlSocket
 from daemon.monitor.web import server
 from daemon.monitor.web.server import serve_web
 

@@ -9,7 +9,8 @@ import time
 
 import pytest
 
-from daemon.monitor.control_socket import ControlClient, ControlSocket, DaemonUnreachableError, RequestError
+from daemon.monitor.control_client import ControlClient, DaemonUnreachableError
+from daemon.monitor.control_socket import ControlSocket, RequestError
 
 
 async def serve(path, handle, work):

@@ -13,9 +13,9 @@ from hypothesis.extra.numpy import arrays
 
 from config.schema.service import HistoryConfig
 from daemon.history import HistoryWriter, housekeeping
-from daemon.history.columns.extremes import decode_extremes, frame_extremes, temperature_extremes
 from daemon.history.columns.frames import frame_from_rows
 from daemon.history.columns.kinds import KINDS
+from daemon.history.columns.packing import decode_extremes, frame_extremes, temperature_extremes
 from daemon.history.columns.temperature_chunks import CycleBlock
 from daemon.history.decimation import COARSE_S, Buckets, SeriesError, SeriesReader, check_names, decimated
 from models.quality import Quality

@@ -14,7 +14,7 @@ from expanding_axis import ExpandingAxis
 from sloped_machine import PIVOT_MM, TRAVEL_MM, configured, content, proved
 
 from config.recordings.recording_map import load_recording_map
-from config.records.commissioning import commissioning_text
+from config.records.commissioning_file import commissioning_text
 from daemon.cli import main
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from control_rig import record_for
 from sloped_machine import PIVOT_MM, TRAVEL_MM, configured, content, proved
 
-from config.records.commissioning import commissioning_text
+from config.records.commissioning_file import commissioning_text
 from config.schema import Configuration
 from daemon.cli import main
 from daemon.history import HistoryReader, HistoryWriter

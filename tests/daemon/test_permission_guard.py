@@ -3,8 +3,8 @@
 import pytest
 from control_rig import Bench, record_for, running
 
-from config.records.commissioning import save_commissioning
-from config.signing import SigningKey
+from config.records.commissioning_file import save_commissioning
+from config.signing_key import SigningKey
 from models.control.state import OperatorRequest
 
 

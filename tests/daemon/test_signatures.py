@@ -10,8 +10,10 @@ from click.testing import CliRunner, Result
 from installation import Installation
 
 from config.loader import load_configuration
-from config.records.commissioning import CommissioningError, load_commissioning, save_commissioning
-from config.signing import SigningError, SigningKey, TrustedKeys, signature_beside
+from config.records.commissioning import CommissioningError, load_commissioning
+from config.records.commissioning_file import save_commissioning
+from config.signing import SigningError, TrustedKeys, signature_beside
+from config.signing_key import SigningKey
 from daemon.app import load_record
 from daemon.backup.manifest import BackupError
 from daemon.backup.restoring import read_manifest, restore

@@ -13,7 +13,7 @@ from memory_cnc import MemoryNc
 from sloped_machine import FARTHEST_M, PIVOT_MM, SLOPE, TRAVEL_MM, Z, configured, content, proved, sloped
 from small_model import model
 
-from config.records.commissioning import commissioning_text
+from config.records.commissioning_file import commissioning_text
 from daemon.cnc.limits import output_limits
 from daemon.commissioning.initialising import CommissioningRefusedError
 from daemon.commissioning.slope import positions_of, slope_to_write

@@ -12,7 +12,8 @@ from control_rig import Bench, Z, running
 from other_user import OTHER, as_root
 
 from daemon.history import HistoryReader
-from daemon.monitor.control_socket import ControlClient, ControlSocket, DaemonUnreachableError
+from daemon.monitor.control_client import ControlClient, DaemonUnreachableError
+from daemon.monitor.control_socket import ControlSocket
 
 PATIENCE_S = 60.0
 

@@ -13,7 +13,6 @@ from control_rig import HandClock, machine
 
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.state_store.codec import DocumentError, from_json, to_json
 from daemon.state_store.documents import (
     DaemonAlive,
     OperationSpeed,
@@ -23,7 +22,7 @@ from daemon.state_store.documents import (
     SpindleSpeedSwitch,
     WantedAxes,
 )
-from daemon.state_store.store import FORMAT_VERSION, KEYS, StateStore, document_json
+from daemon.state_store.store import FORMAT_VERSION, KEYS, DocumentError, StateStore, document_json, from_json, to_json
 from models.control.reference_records import CncSeen, ReferenceDocument, ReferenceState, ToolOrigin
 from models.records import FloatArray, Instant
 

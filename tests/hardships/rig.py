@@ -23,7 +23,8 @@ from wires import Wires, check_audit, on_wires
 
 from config.loader import load_configuration
 from daemon.history import HistoryReader
-from daemon.monitor.control_socket import DaemonUnreachableError, RequestError
+from daemon.monitor.control_client import DaemonUnreachableError
+from daemon.monitor.control_socket import RequestError
 from daemon.simulation.processes import free_port
 from drivers.sim.wires.tcp_relay import TcpRelay
 from models.records import WriteOutcome

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.align import RollingMean, block_means, contiguous_runs
+from models.align import RollingMean
+from models.recordings.blocks import block_means, contiguous_runs
 
 
 def test_the_mean_covers_the_last_minute_and_leaves_missing_values_out() -> None:

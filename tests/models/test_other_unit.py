@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from daemon.estimation.unit_watch import other_unit
+from daemon.estimation.memory_watch import other_unit
 
 BEFORE = np.array([21.0, 24.5, 33.0, 20.2])
 

@@ -17,7 +17,7 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from daemon.state_store.codec import from_json, to_json
+from daemon.state_store.store import from_json, to_json
 from models.control import reference
 from models.control.compensation import initial_memory
 from models.control.reference_records import (

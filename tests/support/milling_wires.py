@@ -11,7 +11,7 @@ from control_rig import record_for
 from loop_clock import LoopClock
 from speed_machine import MACROS, bearing_model, speed_machine
 
-from config.records.commissioning import save_commissioning
+from config.records.commissioning_file import save_commissioning
 from config.schema import Configuration
 from daemon.app import Daemon
 from drivers.guard.speed_text import SpeedStatus, speed_program

@@ -16,7 +16,7 @@ from config.schema import Configuration
 from daemon.cli.simulate.demo import demo_machine
 from daemon.history import HistoryReader
 from daemon.history.series import WriteRecord
-from daemon.monitor.control_socket import ControlClient, DaemonUnreachableError
+from daemon.monitor.control_client import ControlClient, DaemonUnreachableError
 from daemon.simulation.demonstration import switch_on
 from daemon.simulation.processes import RunningSimulation, start_simulation, write_simulation_configuration
 from models.records import WriteOutcome

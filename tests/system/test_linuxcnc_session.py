@@ -20,7 +20,8 @@ from real_linuxcnc import RealLinuxcnc, folder, missing
 from wires import client_of
 
 from config.loader import load_configuration
-from config.records.commissioning import CommissionedAxis, CommissioningRecord, macro_map_digest, save_commissioning
+from config.records.commissioning import CommissionedAxis, CommissioningRecord, macro_map_digest
+from config.records.commissioning_file import save_commissioning
 from drivers.guard.linuxcnc import linuxcnc_text, memory_of
 from drivers.guard.text import GUARD_VERSION, GuardStatus
 from drivers.linuxcnc_pins import Pins

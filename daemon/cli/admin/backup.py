@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import FILE, config_option, json_option, option, read_configuration, refuse, say, write_json
+from daemon.cli.common import FILE, config_option, option, read_configuration, refuse, say, write_json
+from daemon.cli.options import json_option
 
 FAILED = 1
 """Exit status when a back-up or restoration is refused or fails."""

@@ -9,18 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from config.files import sha256_of
-from daemon.cli.common import (
-    BAD_USAGE,
-    EXISTING_FILE,
-    FILE,
-    POSITIVE,
-    FiniteFloat,
-    config_option,
-    option,
-    read_configuration,
-    refuse,
-    say,
-)
+from daemon.cli.common import BAD_USAGE, FILE, config_option, option, read_configuration, refuse, say
+from daemon.cli.options import EXISTING_FILE, POSITIVE, FiniteFloat
 
 if TYPE_CHECKING:
     from config.schema import Configuration
@@ -242,8 +232,10 @@ def _commission(
     *,
     consent: bool,
 ) -> int:
-    from config.records.commissioning import CommissioningError, save_commissioning
-    from config.signing import SigningError, SigningKey, TrustedKeys
+    from config.records.commissioning import CommissioningError
+    from config.records.commissioning_file import save_commissioning
+    from config.signing import SigningError, TrustedKeys
+    from config.signing_key import SigningKey
     from daemon.cli.operate.run import parse_simulated_clock
     from daemon.commissioning.dialogue import TerminalDialogue
     from daemon.commissioning.initialising import CommissioningRefusedError

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import NOT_A_FOLDER, option, refuse
+from daemon.cli.common import option, refuse
+from daemon.cli.options import NOT_A_FOLDER
 
 output_option = option("--output", "-o", type=NOT_A_FOLDER, help="Write to this new file instead of standard output.")
 

@@ -10,13 +10,13 @@ from daemon.checkup.machine import Finding, preflight
 from daemon.cli.common import (
     DEFAULT_CONFIGURATION,
     config_option,
-    json_option,
     option,
     read_with_warnings,
     say,
     show_finding,
     write_json,
 )
+from daemon.cli.options import json_option
 from drivers.clock import SystemClock
 
 

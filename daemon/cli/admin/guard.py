@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 import click
 
 from daemon.cli.admin.configuration import deliver, output_option
-from daemon.cli.common import NOT_A_FOLDER, config_option, option, read_configuration, refuse, say
+from daemon.cli.common import config_option, option, read_configuration, refuse, say
+from daemon.cli.options import NOT_A_FOLDER
 
 if TYPE_CHECKING:
     from config.schema import Configuration

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import config_option, json_option, read_configuration, say, write_json
+from daemon.cli.common import config_option, read_configuration, say, write_json
+from daemon.cli.options import json_option
 
 FAILED = 1
 """Exit status when nothing was made or signed."""
@@ -29,7 +30,8 @@ def make(name: str, config_path: Path) -> None:
     The private key stays in the home of this account (or where TOOLPOINT_SIGNING_KEY names). The public key goes to
     signatures.public_keys. NAME.release, NAME.commissioning and NAME.back-up count for one purpose alone.
     """
-    from config.signing import PUBLIC_SUFFIX, SigningKey, private_key_path, trusted_key
+    from config.signing import PUBLIC_SUFFIX, trusted_key
+    from config.signing_key import SigningKey, private_key_path
 
     folder, path = read_configuration(config_path).signatures.public_keys, private_key_path()
     public = folder / f"{name}{PUBLIC_SUFFIX}"
@@ -93,7 +95,7 @@ def sign(yes: bool, config_path: Path) -> None:
     You answer for them as if you had made them: check each first. So a machine of before there were signatures, or
     one whose key was lost, is taken over.
     """
-    from config.signing import SigningKey, private_key_path
+    from config.signing_key import SigningKey, private_key_path
     from daemon.model_release import resigning
 
     configuration = read_configuration(config_path)

@@ -5,18 +5,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daemon.cli.common import (
-    NOT_A_FOLDER,
-    POSITIVE,
-    config_option,
-    json_option,
-    option,
-    read_configuration,
-    refuse,
-    say,
-    write_json,
-)
+from daemon.cli.common import config_option, option, read_configuration, refuse, say, write_json
 from daemon.cli.operate.history_view import duration
+from daemon.cli.options import NOT_A_FOLDER, POSITIVE, json_option
 
 if TYPE_CHECKING:
     from config.records.release_record import ReleaseRecord

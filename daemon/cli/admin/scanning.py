@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 import yaml
 
-from daemon.cli.common import FiniteFloat, option, refuse, say
+from daemon.cli.common import option, refuse, say
+from daemon.cli.options import FiniteFloat
 from drivers.contract import DriverError
 from models.json_values import printable
 

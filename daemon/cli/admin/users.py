@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, TextIO
 
 import click
 
-from daemon.cli.common import FILE, config_option, json_option, option, read_configuration, refuse, say, write_json
+from daemon.cli.common import FILE, config_option, option, read_configuration, refuse, say, write_json
+from daemon.cli.options import json_option
 
 if TYPE_CHECKING:
     from daemon.monitor.accounts import Account

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daemon.cli.common import FILE, Command, FiniteFloat, json_option, option, refuse, say, write_json
+from daemon.cli.common import FILE, Command, option, refuse, say, write_json
+from daemon.cli.options import FiniteFloat, json_option
 
 if TYPE_CHECKING:
     from models.thermomechanics.regression import AxisRegression

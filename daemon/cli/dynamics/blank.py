@@ -4,8 +4,9 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import FILE, FOLDER, json_option, option, refuse, say, show_warnings, trust_option, write_json
+from daemon.cli.common import FILE, option, refuse, say, show_warnings, write_json
 from daemon.cli.dynamics.identify import from_option, to_option
+from daemon.cli.options import FOLDER, json_option, trust_option
 
 
 @click.command()

@@ -5,21 +5,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from daemon.cli.common import (
-    FILE,
-    PLACE,
-    POSITIVE,
-    FiniteFloat,
-    json_option,
-    option,
-    refuse,
-    rotary_option,
-    say,
-    show_warnings,
-    trust_option,
-    write_json,
-)
+from daemon.cli.common import FILE, option, refuse, say, show_warnings, write_json
 from daemon.cli.dynamics.identify import vary_option
+from daemon.cli.options import PLACE, POSITIVE, FiniteFloat, json_option, rotary_option, trust_option
 
 if TYPE_CHECKING:
     from config.machine.spindle import Rotary
@@ -108,7 +96,7 @@ def campaign(
     from config.loader import load_configuration
     from config.machine.published_bearings import load_bounds
     from config.machine.spindle_chain import found_file, read_spindle
-    from daemon.cli.common import ProgressBar
+    from daemon.cli.options import ProgressBar
     from daemon.workbench.dynamics.campaign import campaign_summary, read_run, run_campaign
     from daemon.workbench.dynamics.identifying import Band
     from models.thermomechanics.artifact import model_to_json
@@ -200,7 +188,7 @@ def track(
     from config.loader import load_configuration
     from config.machine.published_bearings import published_model
     from config.machine.spindle_chain import read_spindle
-    from daemon.cli.common import ProgressBar
+    from daemon.cli.options import ProgressBar
     from daemon.workbench.dynamics.campaign import read_temperatures
     from daemon.workbench.dynamics.responses import ResponseError, parts_at
     from daemon.workbench.dynamics.tracking import (

@@ -5,26 +5,22 @@ from typing import TYPE_CHECKING
 
 import click
 
-from daemon.cli.common import (
-    PLACE,
-    POSITIVE,
-    FiniteFloat,
-    csv_option,
-    json_option,
-    option,
-    picture_option,
-    refuse,
-    rotary_option,
-    say,
-    show_warnings,
-    spindle_argument,
-    write_json,
-)
+from daemon.cli.common import option, refuse, say, show_warnings, write_json
 from daemon.cli.dynamics.bearings import bearings
 from daemon.cli.dynamics.blank import blank
 from daemon.cli.dynamics.campaign import campaign, simulate_campaign, track
 from daemon.cli.dynamics.identify import contact, identify
 from daemon.cli.dynamics.studies import compare, sensitivity
+from daemon.cli.options import (
+    PLACE,
+    POSITIVE,
+    FiniteFloat,
+    csv_option,
+    json_option,
+    picture_option,
+    rotary_option,
+    spindle_argument,
+)
 
 if TYPE_CHECKING:
     from config.machine.spindle import Rotary

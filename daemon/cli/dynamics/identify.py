@@ -5,20 +5,15 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from daemon.cli.common import (
-    FILE,
+from daemon.cli.common import FILE, option, refuse, say, show_warnings, write_json
+from daemon.cli.options import (
     POSITIVE,
     FiniteFloat,
     json_option,
-    option,
     picture_option,
-    refuse,
     rotary_option,
-    say,
-    show_warnings,
     spindle_argument,
     trust_option,
-    write_json,
 )
 
 if TYPE_CHECKING:

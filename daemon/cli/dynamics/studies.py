@@ -5,19 +5,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from daemon.cli.common import (
-    FILE,
+from daemon.cli.common import FILE, option, say, show_warnings, write_json
+from daemon.cli.options import (
     PLACE,
     POSITIVE,
     FiniteFloat,
     json_option,
-    option,
     picture_option,
     rotary_option,
-    say,
-    show_warnings,
     spindle_argument,
-    write_json,
 )
 
 if TYPE_CHECKING:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import POSITIVE, directory_option, json_option, option, say, write_json
+from daemon.cli.common import option, say, write_json
+from daemon.cli.options import POSITIVE, directory_option, json_option
 
 
 @click.command()

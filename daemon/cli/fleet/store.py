@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from daemon.cli.common import EXISTING_FILE, POSITIVE, json_option, option, refuse, write_json
+from daemon.cli.common import option, refuse, write_json
+from daemon.cli.options import EXISTING_FILE, POSITIVE, json_option
 
 if TYPE_CHECKING:
     from config.schema.plant_store import PlantStoreConfig

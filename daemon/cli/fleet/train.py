@@ -5,7 +5,8 @@ from typing import Any
 
 import click
 
-from daemon.cli.common import FILE, ProgressBar, destination, json_option, option, refuse, say, write_json
+from daemon.cli.common import FILE, option, refuse, say, write_json
+from daemon.cli.options import ProgressBar, destination, json_option
 
 
 @click.command()

@@ -11,8 +11,9 @@ from typing import Any
 
 import click
 
-from daemon.cli.common import FILE, config_option, json_option, option, read_configuration, refuse, say, write_json
+from daemon.cli.common import FILE, config_option, option, read_configuration, refuse, say, write_json
 from daemon.cli.operate.history_view import FAR_FUTURE_S, duration, iso, moment, print_rows, sensor_list, view
+from daemon.cli.options import json_option
 from daemon.history import HistoryReader
 from daemon.history.columns.kinds import TEMPERATURES
 from daemon.history.reader import TABLES

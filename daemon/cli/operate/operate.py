@@ -7,8 +7,10 @@ from typing import Any
 
 import click
 
-from daemon.cli.common import FILE, config_option, json_option, option, read_configuration, refuse, say, write_json
-from daemon.monitor.control_socket import ControlClient, DaemonUnreachableError, RequestError
+from daemon.cli.common import FILE, config_option, option, read_configuration, refuse, say, write_json
+from daemon.cli.options import json_option
+from daemon.monitor.control_client import ControlClient, DaemonUnreachableError
+from daemon.monitor.control_socket import RequestError
 
 NOT_DONE = 1
 """Exit status when the daemon refused or could not be reached."""

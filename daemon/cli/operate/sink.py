@@ -10,7 +10,8 @@ from typing import Any
 import click
 
 from config.schema import Configuration
-from daemon.cli.common import config_option, json_option, read_configuration, refuse, write_json
+from daemon.cli.common import config_option, read_configuration, refuse, write_json
+from daemon.cli.options import json_option
 from daemon.history.database import HistoryError
 from daemon.sinks.running import run_sinks, sink_status
 from daemon.telemetry.logs import configure_logging

@@ -12,18 +12,9 @@ from typing import Any
 import click
 import yaml
 
-from daemon.cli.common import (
-    EXISTING,
-    POSITIVE,
-    FiniteFloat,
-    directory_option,
-    json_option,
-    option,
-    refuse,
-    say,
-    write_json,
-)
-from daemon.monitor.control_socket import DaemonUnreachableError
+from daemon.cli.common import option, refuse, say, write_json
+from daemon.cli.options import EXISTING, POSITIVE, FiniteFloat, directory_option, json_option
+from daemon.monitor.control_client import DaemonUnreachableError
 from daemon.simulation import SimulationError
 from daemon.simulation.boxes import put_on
 from daemon.simulation.demonstration import Trail, result, settle, switch_on, too_slow, watch

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import FiniteFloat, directory_option, json_option, option, say, write_json
+from daemon.cli.common import option, say, write_json
+from daemon.cli.options import FiniteFloat, directory_option, json_option
 from daemon.cli.simulate.demo import simulation_folder
 
 

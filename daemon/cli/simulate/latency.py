@@ -7,7 +7,8 @@ from typing import Any, cast
 
 import click
 
-from daemon.cli.common import NOT_A_FOLDER, FiniteFloat, directory_option, json_option, option, refuse, say, write_json
+from daemon.cli.common import option, refuse, say, write_json
+from daemon.cli.options import NOT_A_FOLDER, FiniteFloat, directory_option, json_option
 from daemon.cli.simulate.demo import simulation_folder
 
 PLOTS = (".html", ".png", ".svg")

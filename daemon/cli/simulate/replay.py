@@ -8,17 +8,8 @@ from typing import Any
 import click
 import numpy as np
 
-from daemon.cli.common import (
-    EXISTING_FILE,
-    FOLDER,
-    NOT_NEGATIVE,
-    POSITIVE,
-    json_option,
-    option,
-    refuse,
-    say,
-    write_json,
-)
+from daemon.cli.common import option, refuse, say, write_json
+from daemon.cli.options import EXISTING_FILE, FOLDER, NOT_NEGATIVE, POSITIVE, json_option
 from daemon.cli.pages import html_option, write_page
 from daemon.cli.simulate.demo import simulation_folder
 from daemon.history.reader import HistoryReader

@@ -8,19 +8,9 @@ from typing import Any
 
 import click
 
-from daemon.cli.common import (
-    EXISTING,
-    NOT_NEGATIVE,
-    POSITIVE,
-    FiniteFloat,
-    config_option,
-    hours_option,
-    json_option,
-    option,
-    read_configuration,
-    refuse,
-)
+from daemon.cli.common import config_option, option, read_configuration, refuse
 from daemon.cli.operate.run import parse_simulated_clock
+from daemon.cli.options import EXISTING, NOT_NEGATIVE, POSITIVE, FiniteFloat, hours_option, json_option
 from daemon.simulation.replaying import map_of
 from daemon.simulation.simulation import packed_simulation, recorded_simulation, simulated_day
 from daemon.telemetry.logs import configure_logging

@@ -8,19 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daemon.cli.common import (
-    FILE,
-    LOBES_METHOD,
-    NOT_NEGATIVE,
-    POSITIVE,
-    FiniteFloat,
-    json_option,
-    option,
-    picture_option,
-    refuse,
-    say,
-    write_json,
-)
+from daemon.cli.common import FILE, option, refuse, say, write_json
+from daemon.cli.options import LOBES_METHOD, NOT_NEGATIVE, POSITIVE, FiniteFloat, json_option, picture_option
 from daemon.cli.stability.recordings import chatter, roughness
 from daemon.cli.stability.studies import coefficients, compare, modes
 from daemon.cli.stability.warm_up import warm_up

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daemon.cli.common import FILE, POSITIVE, FiniteFloat, json_option, option, picture_option, refuse, say, write_json
+from daemon.cli.common import FILE, option, refuse, say, write_json
+from daemon.cli.options import POSITIVE, FiniteFloat, json_option, picture_option
 
 if TYPE_CHECKING:
     from daemon.workbench.stability.recordings import Passage

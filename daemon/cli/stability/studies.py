@@ -6,7 +6,8 @@ from typing import Any
 
 import click
 
-from daemon.cli.common import FILE, LOBES_METHOD, POSITIVE, json_option, option, picture_option, refuse, say, write_json
+from daemon.cli.common import FILE, option, refuse, say, write_json
+from daemon.cli.options import LOBES_METHOD, POSITIVE, json_option, picture_option
 from models.json_values import finite_or_none
 
 

@@ -4,18 +4,8 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import (
-    FILE,
-    LOBES_METHOD,
-    POSITIVE,
-    FiniteFloat,
-    json_option,
-    option,
-    picture_option,
-    refuse,
-    say,
-    write_json,
-)
+from daemon.cli.common import FILE, option, refuse, say, write_json
+from daemon.cli.options import LOBES_METHOD, POSITIVE, FiniteFloat, json_option, picture_option
 
 PERCENT = FiniteFloat(min=0.0, max=40.0)
 

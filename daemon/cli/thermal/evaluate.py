@@ -6,17 +6,8 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import click
 
-from daemon.cli.common import (
-    FILE,
-    POSITIVE,
-    ProgressBar,
-    common_columns_option,
-    hours_option,
-    json_option,
-    option,
-    say,
-    write_json,
-)
+from daemon.cli.common import FILE, option, say, write_json
+from daemon.cli.options import POSITIVE, ProgressBar, common_columns_option, hours_option, json_option
 from daemon.cli.pages import html_option, write_page
 
 if TYPE_CHECKING:

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import FILE, ProgressBar, json_option, option, refuse, say, write_json
+from daemon.cli.common import FILE, option, refuse, say, write_json
+from daemon.cli.options import ProgressBar, json_option
 
 
 @click.command()

@@ -5,21 +5,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from daemon.cli.common import (
-    CONFIGURATION_VARIABLE,
-    DEFAULT_CONFIGURATION,
-    FILE,
-    POSITIVE,
-    ProgressBar,
-    common_columns_option,
-    destination,
-    hours_option,
-    json_option,
-    option,
-    refuse,
-    say,
-    write_json,
-)
+from daemon.cli.common import CONFIGURATION_VARIABLE, DEFAULT_CONFIGURATION, FILE, option, refuse, say, write_json
+from daemon.cli.options import POSITIVE, ProgressBar, common_columns_option, destination, hours_option, json_option
 from daemon.cli.thermal.campaign import campaign
 from daemon.cli.thermal.evaluate import MODELS, evaluate, settings_text
 from daemon.cli.thermal.figures import figures

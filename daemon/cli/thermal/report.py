@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daemon.cli.common import FILE, NOT_A_FOLDER, NOT_NEGATIVE, POSITIVE, json_option, option, refuse, say, write_json
+from daemon.cli.common import FILE, option, refuse, say, write_json
+from daemon.cli.options import NOT_A_FOLDER, NOT_NEGATIVE, POSITIVE, json_option
 
 if TYPE_CHECKING:
     from models.thermal.family import ThermalModel

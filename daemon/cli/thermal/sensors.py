@@ -5,7 +5,8 @@ from typing import Any
 
 import click
 
-from daemon.cli.common import FILE, ProgressBar, hours_option, json_option, option, say, write_json
+from daemon.cli.common import FILE, option, say, write_json
+from daemon.cli.options import ProgressBar, hours_option, json_option
 
 METHODS = ("forward", "lasso", "clusters")
 

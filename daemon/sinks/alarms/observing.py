@@ -15,7 +15,8 @@ from config.schema.sinks import AlarmsConfig
 from daemon.history.reader import HistoryReader
 from daemon.model_release.model_errors import drift_document, in_force, measured_errors
 from daemon.model_release.past_recordings import commissioned_um_per_unit
-from daemon.monitor.control_socket import ControlClient, DaemonUnreachableError, RequestError
+from daemon.monitor.control_client import ControlClient, DaemonUnreachableError
+from daemon.monitor.control_socket import RequestError
 from daemon.sinks.alarms.ledger import Condition, Key
 from models.records import OutputState
 

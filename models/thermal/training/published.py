@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.align import contiguous_runs
+from models.recordings.blocks import contiguous_runs
 from models.recordings.dataset import DatasetError, Recording
 from models.recordings.jumps import remove_jumps_at_switching
 from models.records import FloatArray
