@@ -2,12 +2,13 @@ o<toolpoint> sub
 (TOOLPOINT GUARD V{version} FOR LINUXCNC, FILE toolpoint.ngc IN [RS274NGC]SUBROUTINE_PATH)
 (o<toolpoint> call [1] AT SAFE POINTS ONLY, TOOL CLEAR OF THE WORK, G8 G21 G40 G80 G54)
 @request
-(o<toolpoint> call [2] [1] REFERENCE, [2] [2] [AXIS] [MM] PROBE, [2] [3] [0] [TOOL] TOOL CHANGE)
+(o<toolpoint> call [2] [1] [0] REFERENCE, [2] [1] [AXIS] TOOL SETTING)
+(o<toolpoint> call [2] [2] [AXIS] [MM] PROBE, [2] [3] [0] [TOOL] TOOL CHANGE)
 @end
 @flag
 (o<toolpoint> call [3] SAFE POINT BEGINS, [4] SAFE POINT ENDS)
 @end
-(o<toolpoint> call [5] INITIALISES, [5] [1] FORGETS WHAT IS APPLIED)
+(o<toolpoint> call [5] [0] INITIALISES, [5] [1] FORGETS WHAT IS APPLIED)
 (LIST #{first} TO #{last} IN THE PARAMETER FILE, OR THEY ARE LOST WITH EVERY START)
 #<what>=#1
 #<status>=0
