@@ -1,5 +1,6 @@
 """The unit that a recording's column claims, by its name or by the row of units; whether it can be right."""
 
+import math
 import re
 
 _SPELLINGS = {
@@ -15,22 +16,35 @@ _SPELLINGS = {
     "degC": r"°\s*c|℃|deg\s*_?c|c|celsius|grad c",
     "degF": r"°\s*f|℉|deg\s*_?f|f|fahrenheit",
     "K": r"k|kelvin",
+    "1/min": r"rpm|1/min|min-1|min\^-1|[ur]/min",
+    "krpm": r"krpm|1000\s*(?:rpm|1/min)|10\^?3\s*(?:rpm|1/min)",
+    "1/s": r"1/s|rps|rev/s|hz",
+    "rad/s": r"rad/s",
+    "%": r"%|percent|prozent",
 }
 _UNITS = {unit: re.compile(spelling) for unit, spelling in _SPELLINGS.items()}
 _AT_THE_END = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$|(?:^|[\s_/,])([^\s_/,]+)\s*$")
-_OF_A_MAP = {"time": ("s", "min", "h", "d"), "displacements": ("um", "mm"), "temperatures": ("degC", "degF")}
+RPM_PER_UNIT = {"1/min": 1.0, "krpm": 1000.0, "1/s": 60.0, "rad/s": 30.0 / math.pi}
+_OF_A_MAP = {
+    "time": ("ms", "s", "min", "h", "d"),
+    "speed": tuple(RPM_PER_UNIT),
+    "displacements": ("um", "mm", "in"),
+    "temperatures": ("degC", "degF"),
+}
 """Units that a map can say, and a name may contradict; K is not among them, as rises in K are rises in degC."""
 _CLEAR_UNIT = re.compile(r"[\[(][^\[\]()]*[\])]\s*$|°|℉|℃|deg|fahrenheit|celsius", re.IGNORECASE)
 """A temperature's name tells its unit so: `T_F` may be in front."""
-TIMES = ("ms", *_OF_A_MAP["time"])
+TIMES = _OF_A_MAP["time"]
 _OF_A_ROW = {
     "time": TIMES,
+    "speed": (*RPM_PER_UNIT, "%"),
     "displacements": ("um", "mm", "nm", "in", "degC", "degF"),
     "temperatures": ("um", "mm", "degC", "degF"),
     "axis_positions": ("um", "in"),
 }
 _KEYS = {
     "time": "time_unit: {unit}",
+    "speed": "speed_unit: {unit}",
     "displacements": "displacement_units: {{{name!r}: {unit}}}",
     "temperatures": "temperature_units: {{{name!r}: {unit}}}",
 }
@@ -51,13 +65,14 @@ def unit_in(name: str) -> str | None:
 def contradiction(kind: str, name: str, meant: str, row: str | None = None) -> str | None:
     """Return what to say where a column claims another unit than it is read in, else None.
 
-    `kind`: time, displacements, temperatures or axis_positions. `meant`: the unit that it is read in. `row`: its field
-    in the row of units; None: it goes by its name.
+    `kind`: time, speed, displacements, temperatures or axis_positions. `meant`: the unit that it is read in. `row`: its
+    field in the row of units; None: it goes by its name.
     """
     found = unit_in(name) if row is None else unit_of(row)
     if row is None and kind == "temperatures" and _CLEAR_UNIT.search(name) is None:
         return None
-    if found is None or found == meant or found not in (_OF_A_MAP if row is None else _OF_A_ROW).get(kind, ()):
+    known = _OF_A_ROW if row is not None or kind == "speed" else _OF_A_MAP
+    if found is None or found == meant or found not in known.get(kind, ()):
         return None
     by = "by its name" if row is None else "by the row of units"
     advice = f"convert it to {meant}, or take it out of the map"

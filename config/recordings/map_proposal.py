@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from config.recordings.column_units import TIMES, unit_of
+from config.recordings.column_units import RPM_PER_UNIT, TIMES, unit_in, unit_of
 from config.recordings.recording_map import RecordingMap, are_days, fits
 
 _DATE = re.compile(r"\b(date|datum|tag|day)\b|日付|年月日")
@@ -25,31 +25,50 @@ _TIME = re.compile(
 _NUMBERED_T = re.compile(r"t[ _]?\d")
 """A temperature: where no column is the time, none of these is."""
 _SPEED = re.compile(r"rpm|1/min|min-1|min\^-1|u/min|r/min|drehzahl|spindle.?speed|speed|回転")
+_OF_SPINDLE = re.compile(r"spind|drehzahl|主軸|rpm|1/min|u/min")
+_NO_TURNS = re.compile(r"%|[\[(]\s*m{0,2}/\s*(s|min)\b")
+"""A load, a feed and a draught of air have a speed, too."""
 _DEGC = re.compile(r"°\s*c\b|deg\s*_?c\b|℃|\[c\]|\(c\)|celsius|grad c")
 _DEGF = re.compile(r"°\s*f\b|deg\s*_?f\b|℉|\[f\]|\(f\)|fahrenheit")
 _KELVIN = re.compile(r"\[k\]|\(k\)|\bkelvin\b")
 _ABSOLUTE_K = 200.0
 """Rises in kelvin are rises in degrees Celsius; where a machine stands, kelvin are more than that."""
 _UM = re.compile(r"[µμ]m|\bum\b|_um$|micron|micromet")
-_MM = re.compile(r"\bmm\b|_mm$")
-_WITH_MM = re.compile(r"[\s_]*[\[(]?\s*\bmm\b\s*[\])]?|_mm$")
+_COARSE = {"mm": re.compile(r"\bmm\b|_mm$"), "in": re.compile(r"[\[(]\s*in\s*[\])]|\binch(es)?\b|_in(ch)?$")}
+_WITH_COARSE = re.compile(r"[\s_]*[\[(]?\s*\b(mm|in|inch(es)?)\b\s*[\])]?$|_(mm|in|inch)$")
 """What the name of a channel loses: the map turns it into micrometres."""
 _MOVES = re.compile(r"変位|displace|verlagerung|deviation|thermal.?error|\bweg\b|probe|^d[xyz]|^e[xyz]|^c\d+\b")
 """Beside millimetres a displacement says so; an axis position is in millimetres, too."""
-_OTHER_UNIT = re.compile(r"\bmm\b|\bnm\b|\bkw\b|\bw\b|\ba\b|\bv\b|%|\bbar\b|\bhz\b|\bnm\b|\bl/min\b")
+_OTHER_UNIT = re.compile(r"\bnm\b|\bkw\b|[\[(]\s*[wav]\s*[\])]|%|\bbar\b|\bhz\b|\bl/min\b")
+"""One letter is a unit in brackets alone: `Temp A` is a temperature."""
 _TEMPERATURE = re.compile(r"温度|temp|thermo|pt ?100+|^tc ?\d+|^rtd|^t[a-z]? ?\d+$|^t ")
 _DISPLACEMENT = re.compile(
     r"変位|displace|verlagerung|deviation|thermal.?error|^weg\b|^[xyzabcuvw] ?\d*$|^d[xyz]\d*$|^e[xyz]\d*$|probe"
 )
-_FORMATS = tuple(
-    f"{date} {time}"
-    for date in ("%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%d-%m-%Y", "%Y%m%d", "%d %b %Y")
-    for time in ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
+_OF_12_HOURS = ("%I:%M:%S %p", "%I:%M %p")
+_OF_DAY = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", *_OF_12_HOURS)
+_DATES: tuple[str, ...] = (
+    "%d.%m.%Y",
+    "%d.%m.%y",
+    "%d/%m/%Y",
+    "%m/%d/%Y",
+    "%Y/%m/%d",
+    "%d-%m-%Y",
+    "%Y%m%d",
+    "%d %b %Y",
+    "%d-%b-%Y",
 )
+_DATES += ("%d-%b-%y", "%d/%m/%y", "%m/%d/%y")
+_FORMATS = (
+    *(f"{date} {time}" for date in ("%m/%d/%Y", "%m/%d/%y") for time in _OF_12_HOURS),
+    *(f"{date} {time}" for date in _DATES for time in _OF_DAY),
+)
+"""Where a clock has twelve hours, the month is first as a rule."""
+FEWEST_NUMBERED = 4
+"""So many columns that are called by a number are named together."""
 JAPANESE = ("温度", "変位", "時刻", "日時", "回転")
 """Words of recordings, by which their encoding is told."""
 _MILLISECONDS = re.compile(r"\bms(ec)?\b|_ms$|milli")
-_OF_DAY = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,8 +96,17 @@ class MapProposal:
         lines += [f"# No column seems to be the {key}; write it yourself:" for key in self.lacking]
         lines += [f"# {key}:" for key in self.lacking]
         if self.left_out:
-            lines.append("# Columns that the map leaves out: " + ", ".join(map(repr, self.left_out)))
+            lines.append(f"# Columns that the map leaves out: {self.named_left_out()}")
         return "\n".join(lines) + "\n" + yaml.safe_dump(self.keys, sort_keys=False, allow_unicode=True, width=100)
+
+    def named_left_out(self) -> str:
+        """Return the names of the columns that are left out; those that are numbers together."""
+        numbers = [name for name in self.left_out if name.isdigit()]
+        if len(numbers) < FEWEST_NUMBERED:
+            return ", ".join(map(repr, self.left_out))
+        together = f"{numbers[0]!r} to {numbers[-1]!r} ({len(numbers)} columns that are called by a number; "
+        others = [repr(name) for name in self.left_out if name not in numbers]
+        return ", ".join([*others, f'{together}"[0-9]*" names all of them)'])
 
 
 def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: str = "utf-8") -> MapProposal:
@@ -90,6 +118,12 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
     complete = [row for row, _ in groupby(complete)]
     columns = {name: [row[i] for row in complete] for i, name in enumerate(header) if name}
     described = _described(header, rows[0] if unit_row else ())
+    missing = sorted(
+        {text for name, texts in columns.items() if _kind(described[name]) for text in _for_missing(texts)}
+    )
+    keys |= {"missing": missing} if missing else {}
+    written = columns
+    columns = {name: ["" if text in missing else text for text in texts] for name, texts in columns.items()}
     numbers = [name for name, texts in columns.items() if _numbers(texts)]
     of_time = [name for name, text in zip(header, rows[0], strict=False) if unit_of(text) in TIMES] if unit_row else []
     keys |= _time_keys(columns, described, of_time, notes)
@@ -97,7 +131,10 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
     kinds = {name: _kind(described[name]) for name in numbers if name not in taken}
     speeds = [name for name, kind in kinds.items() if kind == "speed"]
     if speeds:
+        speeds.sort(key=lambda name: _OF_SPINDLE.search(described[name]) is None)
         keys["speed"] = speeds[0]
+        if (unit := unit_in(described[speeds[0]])) in RPM_PER_UNIT and unit != "1/min":
+            keys["speed_unit"] = unit
         notes += [f"{len(speeds)} columns may be the spindle speed: {', '.join(map(repr, speeds))}"] * (len(speeds) > 1)
     for kind in ("temperatures", "displacements"):
         if found := [name for name, its in kinds.items() if its == kind]:
@@ -105,9 +142,9 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
     in_unit = {name: _of_temperature(described[name], columns[name]) for name in keys.get("temperatures", ())}
     others = {name: unit for name, unit in in_unit.items() if unit is not None}
     keys |= {"temperature_units": others} if others else {}
-    if in_mm := [name for name in keys.get("displacements", ()) if _MM.search(described[name])]:
-        keys["displacement_units"] = dict.fromkeys(in_mm, "mm")
-        named = {name: _WITH_MM.sub("", name).strip() for name in in_mm}
+    if coarse := {n: unit for n in keys.get("displacements", ()) if (unit := _coarse(described[n])) is not None}:
+        keys["displacement_units"] = coarse
+        named = {name: _WITH_COARSE.sub("", name).strip() for name in coarse}
         fitting = {name: channel for name, channel in named.items() if channel and channel not in header}
         if fitting and len(set(named.values())) == len(named):
             keys["displacement_names"] = fitting
@@ -116,8 +153,13 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
     keys |= {"encoding": encoding} if encoding != "utf-8" else {}
     keys |= {"unit_row": True} if unit_row else {}
     texts = [name for name in columns if complete and name not in numbers and name not in taken]
-    unread = {name: _unread(name, columns[name]) for name in texts if _kind(described[name]) is not None}
+    unread = {name: _unread(name, written[name]) for name in texts if _kind(described[name]) is not None}
     notes += unread.values()
+    notes += [
+        f"{name!r} is in {unit}: a displacement (displacement_units: {{{name!r}: {unit}}}), or where an axis stands?"
+        for name in numbers
+        if name not in taken and kinds[name] is None and (unit := _coarse(described[name])) is not None
+    ]
     used = {*taken, keys.get("speed"), *keys.get("temperatures", ()), *keys.get("displacements", ()), *unread}
     return MapProposal(
         keys=keys,
@@ -141,15 +183,20 @@ def _described(header: Sequence[str], units: Sequence[str]) -> dict[str, str]:
     return {name: text.lower().strip() for name, text in zip(header, joined, strict=False)}
 
 
+def _coarse(said: str) -> str | None:
+    """Return the unit of a length that is not in micrometres."""
+    return next((unit for unit, form in _COARSE.items() if form.search(said)), None)
+
+
 def _kind(said: str) -> str | None:
     if _SPEED.search(said):
-        return "speed"
+        return None if _NO_TURNS.search(said) else "speed"
     if _UM.search(said):
         return "displacements"
     if _DEGC.search(said) or _DEGF.search(said) or _KELVIN.search(said):
         return "temperatures"
     words = re.sub(r"[_\W]+", " ", said).strip()
-    if _MM.search(said):
+    if _coarse(said) is not None:
         return "displacements" if _MOVES.search(words) else None
     if _OTHER_UNIT.search(said):
         return None
@@ -176,14 +223,15 @@ def _time_keys(
             zone = "in UTC unless the map has a time_zone such as Europe/Zurich"
             if keys.get("time_format", "").startswith(("%d/", "%m/")):
                 of_day = keys.get("date", name)
-                notes.append(f"{of_day!r}: is the day or the month first? And it is taken to be {zone}")
+                first = datetime.strptime(columns[of_day][0].split()[0], keys["time_format"].split()[0])
+                notes.append(
+                    f"{of_day!r}: is the day or the month first? The first row is read as {first:%d %B %Y}; where that "
+                    f"is wrong, exchange %d and %m. And it is taken to be {zone}"
+                )
             elif "time_format" in keys or keys.get("time_unit") == "iso":
                 notes.append(f"{name!r} is taken to be {zone}")
             return keys
     for name in times:
-        if _MILLISECONDS.search(described[name]):
-            notes.append(f"{name!r} seems to be in milliseconds, which a map cannot say: divide the column by 1000")
-            continue
         found = [number for text in columns[name] if (number := _number(text)) is not None]
         if _numbers(columns[name]) and _increases(found):
             if are_days(found):
@@ -197,10 +245,17 @@ def _time_keys(
                 f"{name!r} says the same time in rows one after the other: take one of two such rows out, or export "
                 "it with seconds where it has none"
             )
+        elif columns[name] and not _numbers(columns[name]):
+            notes.append(
+                f"{name!r} holds {columns[name][0]!r}, a time of a form that is not known: say it as time_format, such "
+                "as '%d.%m.%Y %H:%M:%S'"
+            )
     return {}
 
 
 def _unit(said: str, name: str, step: float, notes: list[str]) -> str:
+    if _MILLISECONDS.search(said):
+        return "ms"
     if re.search(r"\bmin(ut(e|en|es|os))?s?\b|_min\b|[\[(]分", said):
         return "min"
     if re.search(r"\bh(ours?|rs?)?\b|_h\b|stunden|\bstd\b", said):
@@ -244,6 +299,14 @@ def _number(text: str) -> float | None:
         return float(text.replace(",", "."))
     except ValueError:
         return None
+
+
+def _for_missing(texts: Sequence[str]) -> set[str]:
+    """Return what stands for a missing value in a column of numbers, such as OL."""
+    known = [text for text in texts if _number(text) is not None]
+    words = {text for text in texts if text and _number(text) is None}
+    wordy = 2 * len(known) < len([text for text in texts if text])
+    return set() if wordy or any(mark.isdigit() for text in words for mark in text) else words
 
 
 def _unread(name: str, texts: Sequence[str]) -> str:

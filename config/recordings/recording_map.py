@@ -16,8 +16,9 @@ from config.recordings.column_units import contradiction
 from config.schema.base import KeyProblems, Seconds, Section
 from models.recordings.slopes import SLOPE_SUFFIX
 
-UM_PER_UNIT = {"um": 1.0, "mm": 1000.0}
+UM_PER_UNIT = {"um": 1.0, "mm": 1000.0, "in": 25400.0}
 TemperatureUnit = Literal["degC", "degF", "K"]
+DisplacementUnit = Literal["um", "mm", "in"]
 Unit = TypeVar("Unit", bound=str)
 
 
@@ -35,7 +36,7 @@ class RecordingMap(Section):
     """Map from the columns of a recording to what they mean."""
 
     time: str = Field(min_length=1, description="column that holds the time")
-    time_unit: Literal["s", "min", "h", "d", "iso"] = Field(
+    time_unit: Literal["ms", "s", "min", "h", "d", "iso"] = Field(
         "s", description="unit of the time column; iso: date and time as ISO 8601"
     )
     time_format: str | None = Field(
@@ -50,6 +51,7 @@ class RecordingMap(Section):
         None, description="IANA name of the zone of times without an offset, such as Europe/Zurich; none: UTC"
     )
     speed: str | None = Field(None, description="column that holds the spindle speed [1/min], if there is one")
+    speed_unit: Literal["1/min", "krpm", "1/s", "rad/s"] = Field("1/min", description="unit of the spindle speed")
     temperatures: list[str] = Field(
         min_length=1, description="columns that hold temperatures [degC]: names or patterns such as t*"
     )
@@ -59,7 +61,7 @@ class RecordingMap(Section):
     displacements: list[str] = Field(
         min_length=1, description="columns that hold displacements [um]: names or patterns such as c*"
     )
-    displacement_units: dict[str, Literal["um", "mm"]] | None = Field(
+    displacement_units: dict[str, DisplacementUnit] | None = Field(
         None, description="unit of displacement columns by name or pattern; micrometres where it says nothing"
     )
     displacement_names: dict[str, str] | None = Field(
@@ -79,6 +81,9 @@ class RecordingMap(Section):
     )
     encoding: Literal["utf-8", "latin-1", "cp1252", "cp932", "utf-16"] = Field("utf-8", description="text encoding")
     unit_row: bool = Field(False, description="the row after the header holds units")
+    missing: list[str] | None = Field(
+        None, description="texts that stand where a value is missing, such as OL, beside an empty field, nan and NA"
+    )
     sample_s: Seconds = Field(60.0, description="the recording is averaged to this time between rows [s]")
 
     @model_validator(mode="after")
@@ -128,7 +133,7 @@ class Columns(Section):
     """Of each temperature."""
     axis_positions: list[int]
     displacements: list[int]
-    um_per_unit: list[float]
+    displacement_units: list[DisplacementUnit]
     """Of each displacement."""
     channels: list[str]
     """What each displacement is called."""
@@ -170,7 +175,6 @@ def resolve_columns(recording_map: RecordingMap, header: Sequence[str]) -> Colum
             )
     _require_units(header, {"temperatures": temperatures, "displacements": displacements})
     channels = _channels(recording_map.displacement_names or {}, header, displacements)
-    units = _units_of("displacement", recording_map.displacement_units or {}, header, displacements, "um")
     found = Columns(
         time=time,
         date=date,
@@ -179,7 +183,9 @@ def resolve_columns(recording_map: RecordingMap, header: Sequence[str]) -> Colum
         temperature_units=_units_of("temperature", recording_map.temperature_units or {}, header, temperatures, "degC"),
         axis_positions=positions,
         displacements=displacements,
-        um_per_unit=[UM_PER_UNIT[unit] for unit in units],
+        displacement_units=_units_of(
+            "displacement", recording_map.displacement_units or {}, header, displacements, "um"
+        ),
         channels=channels,
         slopes=_slopes(recording_map.slopes or {}, header, channels, {*temperatures, *displacements}),
     )
@@ -196,18 +202,19 @@ def require_read_units(
     """
     of_number = recording_map.time_format is None and recording_map.time_unit != "iso"
     read: list[tuple[str, int, str]] = [("time", columns.time, recording_map.time_unit)] if of_number else []
-    read += [
-        ("displacements", column, "um" if scale == 1.0 else "mm")
-        for column, scale in zip(columns.displacements, columns.um_per_unit, strict=True)
-    ]
-    read += [
-        ("temperatures", column, unit)
-        for column, unit in zip(columns.temperatures, columns.temperature_units, strict=True)
-    ]
+    read += [] if columns.speed is None else [("speed", columns.speed, recording_map.speed_unit)]
+    for kind, places, units in (
+        ("displacements", columns.displacements, columns.displacement_units),
+        ("temperatures", columns.temperatures, columns.temperature_units),
+    ):
+        read += [(kind, column, unit) for column, unit in zip(places, units, strict=True)]
     if row is None:
         patterns = (*(recording_map.displacement_units or ()), *(recording_map.temperature_units or ()))
         said = {i for pattern in patterns for i in _matches(pattern, header)}
         said |= {columns.time} if "time_unit" in recording_map.model_fields_set else set()
+        said |= (
+            {columns.speed} if columns.speed is not None and "speed_unit" in recording_map.model_fields_set else set()
+        )
         read = [one for one in read if one[1] not in said]
     else:
         read += [("axis_positions", column, "mm") for column in columns.axis_positions]

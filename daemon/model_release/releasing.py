@@ -285,7 +285,7 @@ def _sensors_by_name(configuration: Configuration, model: ThermalModel) -> list[
     named = [
         (number, name) for number, name in zip(model.sensor_ids, model.sensor_names, strict=True) if number in places
     ]
-    if all(name.upper() == f"T{number}" for number, name in named):
+    if all(name.upper().removeprefix("T") == str(number) for number, name in named):
         return []
     said = ", ".join(f"{number} ({places[number]}) as {name!r}" for number, name in named)
     return [f"it was trained on sensor {said}: the person who releases it answers for that"]

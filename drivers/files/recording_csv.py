@@ -9,7 +9,7 @@ recording is of.
 
 import csv
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -17,7 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from config.files import write_whole
+from config.recordings.column_units import RPM_PER_UNIT
 from config.recordings.recording_map import (
+    UM_PER_UNIT,
     ColumnError,
     Columns,
     RecordingMap,
@@ -96,11 +98,16 @@ def read_beginning(path: Path, rows: int, encoding: str = "utf-8") -> tuple[list
     with _opened(place, encoding) as lines:
         header, delimiter = _header(place, lines)
         _require_names(place, header, lines)
+        first = place.line + 1
         reader = csv.reader((line for line in lines if line.strip()), delimiter=delimiter)
         try:
-            return header, [[text.strip() for text in fields] for fields in islice(reader, rows)]
+            found = [[text.strip() for text in fields] for fields in islice(reader, rows)]
         except csv.Error as error:
             raise place.refuse(f"is not CSV ({error})") from error
+        place.line = first
+        if found and not any(map(_is_number, found[0])) and (sentence := second_header(header, found[0])):
+            raise place.refuse(sentence)
+        return header, found
 
 
 def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Recording:
@@ -139,12 +146,13 @@ def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Rec
         recording = Recording(
             name=path.name,
             time_s=time_s,
-            speed_rpm=None if columns.speed is None else table[:, 0].copy(),
+            speed_rpm=None if columns.speed is None else table[:, 0] * RPM_PER_UNIT[recording_map.speed_unit],
             temperature_names=tuple(header[i] for i in inputs),
             axis_positions=tuple(header[i] for i in columns.axis_positions),
             temperatures_degc=_in_degc(table[:, first_temperature:first_displacement], columns),
             displacement_names=tuple(columns.channels),
-            displacements_um=table[:, first_displacement:first_position] * columns.um_per_unit,
+            displacements_um=table[:, first_displacement:first_position]
+            * [UM_PER_UNIT[unit] for unit in columns.displacement_units],
         )
         return _with_slopes(recording, columns, recording_map, table[:, first_position:])
     except DatasetError as error:
@@ -254,7 +262,10 @@ def _header(place: _Place, lines: Iterator[str]) -> tuple[list[str], str]:
     if len(names) > MAX_FIELDS:
         raise place.refuse(f"has {len(names)} columns; this is not a recording")
     if twice := sorted({name for name in names if name and names.count(name) > 1}):
-        raise place.refuse(f"the column names {', '.join(twice)} appear twice; names must be unique")
+        raise place.refuse(
+            f"{', '.join(map(repr, twice))} is the name of several columns; give each a name of its own. Where the "
+            f"next row holds the names, take this one out, or begin it with {METADATA_MARK}"
+        )
     if all(_is_number(name) for name in names if name):
         raise place.refuse("begins with numbers; the first row must hold the names of the columns")
     return names, delimiter
@@ -265,13 +276,28 @@ def _require_names(place: _Place, header: list[str], lines: Iterator[str]) -> No
     if len([name for name in header if name]) >= FEWEST_COLUMNS:
         return
     first, text = place.line, next((name for name in header if name), "")
-    for line in islice(lines, MOST_BEFORE_HEADER):
-        if len([field for field in line.split(max(DELIMITERS, key=line.count)) if field.strip()]) >= FEWEST_COLUMNS:
-            found, place.line = place.line, first
-            raise place.refuse(
-                f"{text[:40]!r} does not look like the names of the columns; where line {found} holds them, take out "
-                f"the lines before it, or begin each with {METADATA_MARK}"
-            )
+    counts = [
+        len([field for field in line.split(max(DELIMITERS, key=line.count)) if field.strip()])
+        for line in islice(lines, MOST_BEFORE_HEADER)
+    ]
+    if max(counts, default=0) >= FEWEST_COLUMNS:
+        found, place.line = first + 1 + counts.index(max(counts)), first
+        raise place.refuse(
+            f"{text[:40]!r} does not look like the names of the columns; where line {found} holds them, take out "
+            f"the lines before it, or begin each with {METADATA_MARK}"
+        )
+
+
+def second_header(header: Sequence[str], row: Sequence[str]) -> str | None:
+    """Return what to say where a row of texts names columns that have no name in the header, else None."""
+    named = [(i, text) for i, text in enumerate(row[: len(header)], 1) if text.strip() and not header[i - 1]]
+    if not named:
+        return None
+    column, text = named[0]
+    return (
+        f"{text.strip()[:40]!r} stands here in column {column}, which has no name in the row before: where this row "
+        f"holds the names, take out the row before it, or begin that with {METADATA_MARK}; else give the column a name"
+    )
 
 
 def _encoding_hint(header: list[str]) -> str:
@@ -292,6 +318,8 @@ def _require_row_of_units(
     """Refuse a row of units that contradicts the map."""
     try:
         texts = next(csv.reader([line], delimiter=delimiter), [])
+        if sentence := second_header(header, texts):
+            raise place.refuse(sentence)
         require_read_units(recording_map, resolve_columns(recording_map, header), header, texts)
     except (ColumnError, csv.Error) as error:
         raise place.refuse(str(error)) from error
@@ -321,6 +349,7 @@ def _rows(place: _Place, lines: Iterator[str], form: _Form) -> tuple[FloatArray,
     speed = [] if columns.speed is None else [columns.speed]
     wanted = [*speed, *columns.temperatures, *columns.axis_positions, *columns.displacements, *columns.slopes.values()]
     decimal = form.recording_map.decimal or ("." if form.delimiter == "," else None)
+    missing = MISSING.union(form.recording_map.missing or ())
     read_time = time_reader(form.recording_map)
     times: list[float] = []
     table: list[FloatArray] = []
@@ -346,7 +375,7 @@ def _rows(place: _Place, lines: Iterator[str], form: _Form) -> tuple[FloatArray,
             text = fields[columns.time].strip()
             sentence = _disorder(times, local=form.recording_map.local_times)
             raise place.refuse(f"{text!r} does not come after the row before; {sentence}", header[columns.time])
-        table.append(_numbers(place, header, fields, wanted, decimal))
+        table.append(_numbers(place, header, fields, wanted, decimal, missing))
     if not times:
         raise place.refuse("holds no rows after its header")
     _require_seconds(place, times, form)
@@ -405,20 +434,21 @@ def _time(place: _Place, form: _Form, fields: list[str], read_time: TimeReader) 
     return time_s
 
 
-def _numbers(place: _Place, header: list[str], fields: list[str], wanted: list[int], decimal: str | None) -> FloatArray:
+def _numbers(
+    place: _Place, header: list[str], fields: list[str], wanted: list[int], decimal: str | None, missing: frozenset[str]
+) -> FloatArray:
     try:
         numbers = np.array([float(fields[i]) for i in wanted])
         if decimal != "," and np.isfinite(numbers).all():
             return numbers
     except ValueError:
         pass
-    return np.array([_number(place, header[i], fields[i].strip(), decimal) for i in wanted])
+    texts = [(header[i], fields[i].strip()) for i in wanted]
+    return np.array([math.nan if text in missing else _number(place, column, text, decimal) for column, text in texts])
 
 
 def _number(place: _Place, column: str, text: str, decimal: str | None) -> float:
     """Return a field as a number; `decimal` is the mark that it may have, None: either."""
-    if text in MISSING:
-        return math.nan
     try:
         if decimal == "," and "." in text:
             raise ValueError
@@ -438,4 +468,4 @@ def _advice(text: str, decimal: str | None) -> str:
             "the map says that the decimal mark is a comma; where the point separates thousands, export without such "
             "points, where it is the decimal mark, say decimal: '.' in the map"
         )
-    return "leave the field empty where a value is missing"
+    return f"where it stands for a missing value, say missing: [{text[:40]!r}] in the map, or leave the field empty"

@@ -6,7 +6,7 @@ from zoneinfo import ZoneInfo
 
 from config.recordings.recording_map import RecordingMap
 
-SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
+SECONDS = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _OF_A_DATE = ("%d", "%j", "%D", "%x", "%c", "%Y", "%y", "%m", "%b", "%B", "%s")
 
 TimeReader = Callable[[str], float]

@@ -28,8 +28,12 @@ LARGEST_SPAN_UM = 5000.0
 """A channel that moves more is not in micrometres (no displacement sensor of a nest reaches so far)."""
 STILL_UM = 0.1
 """A channel that moves by less, and moves, while the machine warms, is not in micrometres: no sensor is so quiet."""
-KELVIN_BELOW = 400.0
-"""What is no temperature in degC may be one in kelvin below this."""
+KELVIN_ABOVE, KELVIN_BELOW = 263.0, 400.0
+"""What is no temperature in degC may be one in kelvin between these."""
+WITHOUT = "convert it, or take the column out of the map"
+_UNIT_SAID = "temperature_units: {{{name!r}: {unit}}}"
+FEWEST_TURNS = 30.0
+"""A spindle that turns, and never faster, is no speed in 1/min [1/min]."""
 LIKE_THE_OTHERS_K = 1.0
 """A displacement that begins no farther from all temperatures but one, and ..."""
 UNLIKE_THE_OTHERS_K = 3.0
@@ -44,6 +48,8 @@ FEWEST_AT_ONCE = 4
 """So many rows tell what a temperature does in that time."""
 FASTEST_S = 0.5
 """Hardly any logger writes temperatures more often [s]: then, too."""
+SHORT_GAP_S = 600.0
+"""Gaps are bridged up to this, by a straight line [s]: nothing is said of them."""
 CLOCK_CHANGE_S = 3600.0
 """So far a wall clock jumps in spring [s]."""
 MOST_NAMED = 3
@@ -209,12 +215,22 @@ def _rows(recording: Recording, rows_together: int | None) -> Iterator[Finding]:
         yield _error("", None, sentence)
         return
     time_s = recording.time_s
-    for first, _ in contiguous_runs(time_s, recording.sample_s)[1:]:
-        gap_s = time_s[first] - time_s[first - 1]
-        sentence = f"a gap of {gap_s:g} s before this row; no difference is taken across it"
-        if abs(gap_s - recording.sample_s - CLOCK_CHANGE_S) < 1.0:
-            sentence += "; where clocks were set to summer time there, say time_zone in the map"
-        yield _warning("time", recording.rows_before + first + 1, sentence)
+    firsts = [first for first, _ in contiguous_runs(time_s, recording.sample_s)[1:]]
+    gaps_s = {first: float(time_s[first] - time_s[first - 1]) for first in firsts}
+    long = [first for first, gap_s in gaps_s.items() if gap_s > SHORT_GAP_S]
+    for first in long:
+        if abs(gaps_s[first] - recording.sample_s - CLOCK_CHANGE_S) < 1.0:
+            sentence = (
+                f"a gap of {gaps_s[first]:g} s before this row; where clocks were set to summer time there, say "
+                "time_zone in the map; else nothing is learned from it"
+            )
+            yield _warning("time", recording.rows_before + first + 1, sentence)
+            long = [other for other in long if other != first]
+    if long:
+        longest = max(long, key=gaps_s.__getitem__)
+        all_of = f" ({len(long)} gaps beyond {SHORT_GAP_S / 60.0:g} min, the longest here)" if len(long) > 1 else ""
+        sentence = f"a gap of {gaps_s[longest]:g} s before this row{all_of}; nothing is learned from it"
+        yield _warning("time", recording.rows_before + longest + 1, sentence)
 
 
 def _impossible(recording: Recording) -> Iterator[Finding]:
@@ -241,6 +257,12 @@ def _columns(recording: Recording, read: Recording) -> Iterator[Finding]:
     speed_rpm = recording.speed_rpm
     if speed_rpm is not None and len(speed_rpm) and not np.isfinite(speed_rpm).any():
         sentence = "no value at all, which is not standstill; take the column out of the file or of the map"
+        yield _error("spindle speed", None, sentence)
+    elif speed_rpm is not None and 0.0 < (fastest := float(np.nanmax(np.abs(speed_rpm), initial=0.0))) < FEWEST_TURNS:
+        sentence = (
+            f"never above {fastest:.4g}, which warms no spindle: is it in thousands, or in another unit? Say "
+            "speed_unit (krpm, 1/s or rad/s) in the map; where it is right, or no speed, take `speed` out of the map"
+        )
         yield _error("spindle speed", None, sentence)
     columns = [
         *zip(recording.temperature_names, recording.temperatures_degc.T, read.temperatures_degc.T, strict=True),
@@ -272,9 +294,10 @@ def _temperature_units(recording: Recording) -> Iterator[Finding]:
             continue
         median = float(np.median(known))
         if median > HIGHEST_DEGC:
-            unit = "kelvin; subtract 273.15" if median < KELVIN_BELOW else "raw counts or an open wire"
-            advice = "" if median < KELVIN_BELOW else "; convert it, or take the column out of the map"
-            yield _error(name, None, f"a median of {median:.4g} cannot be degC; it looks like {unit}{advice}")
+            kelvin = KELVIN_ABOVE < median < KELVIN_BELOW
+            unit = "kelvin" if kelvin else "tenths of a degree, raw counts or an open wire"
+            advice = f"say {_UNIT_SAID.format(name=name, unit='K')} in the map" if kelvin else WITHOUT
+            yield _error(name, None, f"a median of {median:.4g} cannot be degC; it looks like {unit}: {advice}")
         elif median < LOWEST_DEGC:
             sentence = f"a median of {median:.4g} cannot be degC; is it connected? Else take it out of the map"
             yield _error(name, None, sentence)
@@ -288,8 +311,8 @@ def _fahrenheit(recording: Recording) -> Iterator[Finding]:
         return
     row, column = np.unravel_index(int(np.argmin(degc)), degc.shape)
     sentence = (
-        f"{lowest:.4g} is the lowest of all temperatures, and no workshop is so warm; it looks like degF: "
-        "subtract 32 and divide by 1.8"
+        f"{lowest:.4g} is the lowest of all temperatures, and no workshop is so warm; it looks like degF: say "
+        f"{_UNIT_SAID.format(name='*', unit='degF')} in the map, where all of them are in degF"
     )
     yield _error(recording.temperature_names[int(column)], recording.rows_before + int(row) + 1, sentence)
 
@@ -306,8 +329,8 @@ def _displacement_units(recording: Recording) -> Iterator[Finding]:
         name = max(spans_um, key=lambda channel: spans_um[channel])
         sentence = (
             f"no displacement moves by more than {widest:.3g} while temperatures change by {warmed_k:.3g} K; "
-            "that looks like millimetres; say so in the map: displacement_units (of one recording alone: multiply "
-            "its columns by 1000). Where they are micrometres, nothing "
+            "that looks like millimetres or inches; say which in the map: displacement_units (of one recording alone: "
+            "convert its columns to um). Where they are micrometres, nothing "
             "can be learned from this recording: record one in which the axis warms"
         )
         yield _error(name, None, sentence)
@@ -316,7 +339,8 @@ def _displacement_units(recording: Recording) -> Iterator[Finding]:
         if warmed_k > WARMING_K and 0.0 < span_um < STILL_UM:
             sentence = (
                 f"moves by no more than {span_um:.3g} while temperatures change by {warmed_k:.3g} K; that looks like "
-                f"millimetres; say so in the map: displacement_units: {{{name!r}: mm}}. Else leave the channel out"
+                f"millimetres or inches; say so in the map: displacement_units: {{{name!r}: mm}} (or in). Else leave "
+                "the channel out"
             )
             yield _warning(name, None, sentence)
 

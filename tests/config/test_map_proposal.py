@@ -113,7 +113,7 @@ def test_a_displacement_in_millimetres_says_so_and_an_axis_position_is_none() ->
     found = propose_map(header, rows("0", "1", fields=6))
     assert found.left_out == ("X [mm]",)
     columns = resolve_columns(found.recording_map, header)
-    assert (columns.displacements, columns.um_per_unit) == ([2, 3, 5], [1000.0, 1000.0, 1.0])
+    assert (columns.displacements, columns.displacement_units) == ([2, 3, 5], ["mm", "mm", "um"])
     assert columns.channels == ["Verlagerung Z", "dx", "Y [um]"], "figures of a channel are in micrometres"
     both = propose_map(["time_s", "T1", "dx [mm]", "dx (mm)"], rows("0", "1", fields=4))
     assert "displacement_names" not in both.keys
@@ -130,13 +130,13 @@ def test_a_dead_column_is_left_out_for_what_it_holds_and_not_for_its_name() -> N
     header = ["time [s]", "Temp 1", "Temp 2", "Temp 3", "Temp 4", "X [um]", "Y [um]", "foo"]
     fields = [[str(n), "21.5", "OL", "", "21.5" if n else "---", "1.0", "---", "x"] for n in range(3)]
     found = propose_map(header, fields)
-    assert (found.keys["temperatures"], found.keys["displacements"]) == (["Temp 1"], ["X [um]"])
+    assert (found.keys["temperatures"], found.keys["displacements"]) == (["Temp 1", "Temp 4"], ["X [um]"])
+    assert found.keys["missing"] == ["---"], "what stands between numbers stands for a missing one"
     assert found.left_out == ("foo",), "the name of this one alone says nothing"
-    dead, empty, some, channel = found.notes
+    dead, empty, channel = found.notes
     assert dead == "'Temp 2' is left out: none of its first 3 rows holds a number, row 1 'OL'; is it dead?"
     assert "'Temp 3' is left out" in empty and "an empty field" in empty
-    assert some.startswith("'Temp 4' is left out: row 1 holds '---', which is no number; leave the field empty there")
-    assert "'Y [um]' is left out" in channel
+    assert channel.startswith("'Y [um]' is left out: none of its first 3 rows holds a number, row 1 '---'")
     assert all(f"# {note}" in found.yaml() for note in found.notes)
 
 
@@ -153,3 +153,70 @@ def test_dates_as_a_spreadsheet_counts_them_are_days() -> None:
     rows = [["45992,3125", "20,5", "1"], ["45992,313194", "20,6", "2"], ["45992,313889", "20,7", "3"]]
     found = propose_map(["Time", "T1 (degC)", "X [um]"], rows)
     assert found.keys["time_unit"] == "d" and any("as spreadsheets count dates" in note for note in found.notes)
+
+
+def test_a_number_that_cannot_be_read_is_named_and_stands_for_nothing() -> None:
+    found = propose_map(
+        ["time [s]", "T1 (degC)", "X [um]"], [["0", "20", "1"], ["1", "20", "1.234,5"], ["2", "20", "3"]]
+    )
+    assert found.lacking == ("displacements",) and "missing" not in found.keys
+    assert found.notes[0].startswith("'X [um]' is left out: row 2 holds '1.234,5', which is no number")
+
+
+@pytest.mark.parametrize(
+    ("name", "keys"),
+    [
+        ("Spindle speed (rad/s)", {"speed": "Spindle speed (rad/s)", "speed_unit": "rad/s"}),
+        ("speed [krpm]", {"speed": "speed [krpm]", "speed_unit": "krpm"}),
+        ("n [rps]", {}),
+        ("Drehzahl [U/min]", {"speed": "Drehzahl [U/min]"}),
+        ("spindle speed [%]", {}),
+        ("feed speed [mm/min]", {}),
+    ],
+)
+def test_the_unit_of_the_speed_is_said_and_what_does_not_turn_is_none(name: str, keys: dict[str, str]) -> None:
+    found = propose_map(["t_s", name, "T1", "X_um"], rows("0", "1", fields=4)).keys
+    assert {key: value for key, value in found.items() if key.startswith("speed")} == keys
+
+
+def test_of_several_speeds_the_spindle_s_is_taken() -> None:
+    found = propose_map(["t_s", "fan speed", "spindle speed", "T1", "X_um"], rows("0", "1", fields=5))
+    assert found.keys["speed"] == "spindle speed" and "2 columns may be" in found.notes[0]
+
+
+def test_inches_are_said_and_a_place_in_inches_asks() -> None:
+    found = propose_map(["t_s", "T1", "dz (in)", "Z (in)"], rows("0", "1", fields=4))
+    assert (found.keys["displacements"], found.keys["displacement_units"]) == (["dz (in)"], {"dz (in)": "in"})
+    assert found.keys["displacement_names"] == {"dz (in)": "dz"} and found.left_out == ("Z (in)",)
+    assert found.notes == (
+        "'Z (in)' is in in: a displacement (displacement_units: {'Z (in)': in}), or where an axis stands?",
+    )
+
+
+def test_a_letter_is_a_unit_in_brackets_alone() -> None:
+    found = propose_map(["t_s", "Temp A", "Temp B", "Temp W", "Temp (V)", "X_um"], rows("0", "1", fields=6))
+    assert found.keys["temperatures"] == ["Temp A", "Temp B", "Temp W"] and found.left_out == ("Temp (V)",)
+
+
+def test_columns_that_are_called_by_a_number_are_named_together() -> None:
+    header = ["t_s", "foo", *map(str, range(1, 301)), "X_um"]
+    text = propose_map(header, rows("0", "1", fields=303)).yaml()
+    assert "'foo', '1' to '300' (300 columns that are called by a number; \"[0-9]*\" names all of them)" in text
+
+
+@pytest.mark.parametrize(
+    ("times", "form", "said"),
+    [
+        (("11/03/2025 09:30:00 AM", "11/03/2025 09:31:00 AM"), "%m/%d/%Y %I:%M:%S %p", "read as 03 November 2025"),
+        (("11/03/2025 09:30", "11/03/2025 09:31"), "%d/%m/%Y %H:%M", "read as 11 March 2025"),
+        (("03-Nov-25 09:30:00", "03-Nov-25 09:31:00"), "%d-%b-%y %H:%M:%S", "in UTC"),
+        (
+            ("3rd of May, 9h30", "3rd of May, 9h31"),
+            None,
+            "holds '3rd of May, 9h30', a time of a form that is not known",
+        ),
+    ],
+)
+def test_how_a_date_is_read_is_told(times: tuple[str, str], form: str | None, said: str) -> None:
+    found = propose_map(["Date", "T1", "X_um"], rows(*times, fields=3))
+    assert found.keys.get("time_format") == form and said in found.notes[0]

@@ -255,10 +255,10 @@ def test_a_map_of_usual_names_can_be_had_too_to_take_a_column_out_of_it(tmp_path
     ("time", "texts", "sentence"),
     [
         ("Timestamp", ("05.02.2026 07:00",) * 2 + ("05.02.2026 07:01",) * 2, "says the same time in rows one after"),
-        ("time_ms", ("0", "60000", "120000", "180000"), "milliseconds, which a map cannot say: divide the column"),
+        ("Date", ("5. Februar, 7h00", "5. Februar, 7h01"), "a time of a form that is not known: say it as time_format"),
     ],
 )
-def test_a_time_that_a_map_cannot_say_is_told(tmp_path: Path, time: str, texts: tuple[str, ...], sentence: str) -> None:
+def test_what_is_odd_about_a_time_is_told(tmp_path: Path, time: str, texts: tuple[str, ...], sentence: str) -> None:
     rows = "".join(f"{text};20,{number};1,5\n" for number, text in enumerate(texts))
     (tmp_path / "day.csv").write_text(f"{time};Temp 1;Weg Z [um]\n" + rows, encoding="utf-8")
     result = thermal("train", tmp_path / "day.csv", "-o", tmp_path / "m.json")
@@ -304,3 +304,25 @@ def test_a_japanese_logger_is_understood_in_its_own_encoding(tmp_path: Path) -> 
     made = thermal("train", path, "--map-out", tmp_path / "m.yaml", "--model", "ridge", "-o", tmp_path / "model.json")
     assert made.exit_code == 0, made.output
     assert model(tmp_path / "model.json").channels == ("変位Z",)
+
+
+def test_what_has_no_usual_name_beside_usual_ones_is_named_and_the_proposed_map_reads_it(tmp_path: Path) -> None:
+    paths = [run(tmp_path, number) for number in (1, 2, 3)]
+    for path in paths:
+        head, *rows = path.read_text(encoding="utf-8").splitlines()
+        fields = [row.split(",") for row in rows]
+        place = head.split(",").index("rpm")
+        for row in fields:
+            row[place] = f"{float(row[place]) / 1000.0:.4f}"
+        path.write_text(
+            "\n".join([head.replace("rpm", "speed [krpm]"), *map(",".join, fields)]) + "\n", encoding="utf-8"
+        )
+    plain = thermal("train", *paths, "--model", "ridge", "-o", tmp_path / "model.json")
+    assert plain.exit_code == 0, plain.output
+    assert "warning: not read, for want of a usual name: 'speed [krpm]'; --map-out map.yaml writes" in plain.stderr
+    written = tmp_path / "map.yaml"
+    result = thermal("train", *paths, "--model", "ridge", "--map-out", written, "-o", tmp_path / "model.json")
+    assert result.exit_code == 0 and "not read" not in result.stderr, result.output
+    proposed = load_recording_map(written)
+    assert (proposed.speed, proposed.speed_unit) == ("speed [krpm]", "krpm")
+    assert read_recording(paths[0], proposed).speed_rpm.max() > 1000.0

@@ -9,6 +9,7 @@ from config.recordings.recording_map import ColumnError, RecordingMap, load_reco
 from config.schema.base import ConfigurationError
 from drivers.files.recording_csv import (
     RecordingFileError,
+    read_beginning,
     read_header,
     read_recording,
     write_recording,
@@ -120,7 +121,7 @@ def test_empty_fields_are_missing_values(tmp_path: Path) -> None:
         ("", "day.csv: has no header row"),
         ("\n1,2\n", "day.csv:1: has no header row"),
         ("0,1,2\n", "day.csv:1: begins with numbers"),
-        ("t,rpm,c1,t1,t1\n", "day.csv:1: the column names t1 appear twice"),
+        ("t,rpm,c1,t1,t1\n", "day.csv:1: 't1' is the name of several columns; give"),
         ("t,rpm,c1,t1,t2\n", "day.csv:1: holds no rows"),
         ("t,rpm,c1,x\n0,0,0,0\n", "day.csv:1: temperatures: no column matches 't*'; the columns are t, rpm, c1, x"),
         ("t,c1,t1\n0,0,0\n", "day.csv:1: speed: there is no column 'rpm'"),
@@ -142,6 +143,10 @@ def test_empty_fields_are_missing_values(tmp_path: Path) -> None:
         (
             "Logger 7\nMill;3\n" + GOOD,
             "day.csv:1: 'Logger 7' does not look like the names of the columns; where line 3",
+        ),
+        (
+            "Logger 7\nCH,Name,Input,Range\n1,Nose,TC,100\n" + GOOD,
+            "day.csv:1: 'Logger 7' does not look like the names of the columns; where line 4 holds them",
         ),
         (GOOD.encode() + b"30,0,\xff,20,21\n", "is not UTF-8"),
         (GOOD.encode() + b"30,0,\x00,20,21\n", "day.csv:4: holds a NUL byte"),
@@ -297,6 +302,69 @@ def test_units_below_the_header_and_other_encodings_are_read_as_the_map_says(tmp
     assert "name its encoding in the map" in refusal(tmp_path, content, RecordingMap.model_validate(keys))
 
 
+def test_times_speeds_and_displacements_are_read_in_the_unit_that_the_map_says(tmp_path: Path) -> None:
+    keys = {
+        "time": "t",
+        "speed": "n",
+        "temperatures": ["T1"],
+        "displacements": ["z"],
+        "displacement_units": {"z": "in"},
+    }
+    content = "t,n,T1,z\n1000,12,20,0.001\n3500,0.5,21,0\n"
+    for unit, rpm in (("krpm", 12000.0), ("1/s", 720.0), ("rad/s", 114.5915590)):
+        found = read_recording(
+            written(tmp_path, content), RecordingMap.model_validate(keys | {"time_unit": "ms", "speed_unit": unit})
+        )
+        assert found.time_s.tolist() == [0.0, 2.5] and found.displacements_um[0, 0] == pytest.approx(25.4)
+        assert found.speed_rpm is not None and found.speed_rpm[0] == pytest.approx(rpm)
+
+
+@pytest.mark.parametrize(
+    ("name", "said", "sentence"),
+    [
+        (
+            "n [krpm]",
+            {},
+            "column 'n [krpm]' is in krpm, by its name, and is read in 1/min: say speed_unit: krpm",
+        ),
+        ("n (rad/s)", {}, "say speed_unit: rad/s in the map"),
+        ("n [%]", {}, "column 'n [%]' is in %, by its name, and is read in 1/min: convert it to 1/min, or take it out"),
+        ("n [krpm]", {"speed_unit": "krpm"}, ""),
+        ("n [1/min]", {}, ""),
+    ],
+)
+def test_a_speed_in_another_unit_than_it_is_read_in_is_refused(
+    tmp_path: Path, name: str, said: dict[str, str], sentence: str
+) -> None:
+    keys = {"time": "t", "speed": name, "temperatures": ["T1"], "displacements": ["z"]} | said
+    content = f"t,{name},T1,z\n0,12,20,1\n60,12,20,1\n"
+    if sentence:
+        assert sentence in refusal(tmp_path, content, RecordingMap.model_validate(keys))
+    else:
+        assert read_recording(written(tmp_path, content), RecordingMap.model_validate(keys)).speed_rpm is not None
+
+
+def test_a_second_row_of_names_is_none_of_units(tmp_path: Path) -> None:
+    content = "Time,Spindle,Temperature,,Displacement\nmin,rpm,T1,T2,Z\n0,0,20,21,1\n1,0,20,21,2\n"
+    keys = {"time": "Time", "time_unit": "min", "temperatures": ["Temperature"], "displacements": ["Displacement"]}
+    found = refusal(tmp_path, content, RecordingMap.model_validate(keys | {"unit_row": True}))
+    assert found.startswith("day.csv:2: 'T2' stands here in column 4, which has no name in the row before: where this")
+    with pytest.raises(RecordingFileError, match="'T2' stands here in column 4"):
+        read_beginning(written(tmp_path, content), 5)
+    indexed = written(tmp_path, ",t,T1,Z\n0,0,20,1\n1,60,20,2\n")
+    assert read_beginning(indexed, 5)[0] == ["", "t", "T1", "Z"], "a number of the row needs no name"
+
+
+def test_texts_that_stand_for_missing_values_are_those_of_the_map(tmp_path: Path) -> None:
+    content = "t,T1,z\n0,OL,1\n60,20,---\n"
+    keys = {"time": "t", "temperatures": ["T1"], "displacements": ["z"]}
+    said = refusal(tmp_path, content, RecordingMap.model_validate(keys))
+    assert "'OL' is not a number; where it stands for a missing value, say missing: ['OL'] in the map" in said
+    found = read_recording(written(tmp_path, content), RecordingMap.model_validate(keys | {"missing": ["OL", "---"]}))
+    np.testing.assert_array_equal(found.temperatures_degc[:, 0], [np.nan, 20.0])
+    np.testing.assert_array_equal(found.displacements_um[:, 0], [1.0, np.nan])
+
+
 ROW_OF_UNITS = "Zeit;Öl;Weg\nmin;°C;mm\n0;20,5;0,001\n1;20,6;0,002\n"
 
 
@@ -307,10 +375,14 @@ ROW_OF_UNITS = "Zeit;Öl;Weg\nmin;°C;mm\n0;20,5;0,001\n1;20,6;0,002\n"
         ("[s];[°C];[mm]", {}, "column 'Weg' is in mm, by the row of units, and is read in um: say displacement_units:"),
         ("sec;°C;µm", {"displacement_units": {"Weg": "mm"}}, "say displacement_units: {'Weg': um} in the map"),
         ("h;°C;um", {"time_unit": "min"}, "say time_unit: h in the map"),
-        ("ms;°C;um", {}, "column 'Zeit' is in ms, by the row of units, and is read in s: convert it to s, or take"),
+        ("ms;°C;um", {}, "column 'Zeit' is in ms, by the row of units, and is read in s: say time_unit: ms in the map"),
         ("s;°F;um", {}, "temperatures: column 'Öl' is in degF, by the row of units, and is read in degC: say temper"),
         ("s;°C;um", {"temperature_units": {"Öl": "degF"}}, "say temperature_units: {'Öl': degC} in the map"),
-        ("s;°C;inch", {}, "column 'Weg' is in in, by the row of units, and is read in um: convert it to um"),
+        (
+            "s;°C;inch",
+            {},
+            "'Weg' is in in, by the row of units, and is read in um: say displacement_units: {'Weg': in}",
+        ),
         ("s;um;°C", {}, "column 'Weg' is in degC"),
     ],
 )

@@ -134,6 +134,17 @@ def test_a_gap_is_a_warning_that_names_the_row_after_it() -> None:
     assert "summer time" not in sentences(replace(recording(), time_s=later))
 
 
+def test_of_many_gaps_the_longest_is_named_and_none_that_is_bridged() -> None:
+    good = recording()
+    steps = np.diff(good.time_s, prepend=good.time_s[0])
+    steps[10], steps[20], steps[30] = 1200.0, 7000.0, 500.0
+    said = sentences(replace(good, time_s=np.cumsum(steps)))
+    assert "row 21: a gap of 7000 s before this row (2 gaps beyond 10 min, the longest here)" in said
+    assert said.count("a gap of") == 1
+    odd = np.cumsum(np.where(np.arange(len(steps)) % 3 == 0, 40.0, 15.0))
+    assert "gap" not in sentences(replace(good, time_s=odd)), "odd sampling is normal"
+
+
 def test_fewer_rows_than_variables_are_refused() -> None:
     with pytest.raises(DatasetError, match="20 rows cannot determine 30 variables"):
         require_usable(recording(rows=20, sensors=30))
@@ -141,11 +152,17 @@ def test_fewer_rows_than_variables_are_refused() -> None:
 
 def test_kelvin_millimetres_and_raw_counts_are_recognised() -> None:
     good = recording()
-    with pytest.raises(DatasetError, match=r"column t1: a median of .* looks like kelvin"):
+    with pytest.raises(DatasetError, match=r"column t1: a median of .* looks like kelvin: say temp.*{'t1': K}"):
         require_usable(replace(good, temperatures_degc=good.temperatures_degc + 273.15))
-    with pytest.raises(DatasetError, match="looks like raw counts"):
+    with pytest.raises(DatasetError, match="looks like tenths of a degree"):
+        require_usable(replace(good, temperatures_degc=good.temperatures_degc * 10.0))
+    with pytest.raises(DatasetError, match=r"it looks like degF: say temperature_units: \{'\*': degF\} in the map"):
+        require_usable(replace(good, temperatures_degc=good.temperatures_degc * 1.8 + 32.0))
+    with pytest.raises(DatasetError, match="spindle speed: never above 12, which warms no spindle"):
+        require_usable(replace(good, speed_rpm=np.linspace(0.0, 12.0, good.rows)))
+    with pytest.raises(DatasetError, match="raw counts or an open wire"):
         require_usable(replace(good, temperatures_degc=good.temperatures_degc * 16.0 + 2000.0))
-    with pytest.raises(DatasetError, match="looks like millimetres"):
+    with pytest.raises(DatasetError, match="looks like millimetres or inches"):
         require_usable(replace(good, displacements_um=good.displacements_um / 1000.0))
     one_in_mm = replace(good, displacements_um=good.displacements_um * np.array([1.0, 0.001]))
     assert "column c2: moves by no more than" in sentences(one_in_mm)

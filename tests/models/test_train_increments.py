@@ -198,6 +198,7 @@ def test_temperatures_that_never_change_make_no_model() -> None:
 
 def test_sensor_ids_are_the_numbers_of_the_columns_or_their_places() -> None:
     assert sensor_ids_from_names(("T301", "T2", "t7")) == (301, 2, 7)
+    assert sensor_ids_from_names(("301", "2", "7")) == (301, 2, 7), "as loggers call their channels"
     assert sensor_ids_from_names(("room", "T2")) == (1, 2)
     assert sensor_ids_from_names(("T2", "t2")) == (1, 2)
     assert sensor_ids_from_names(("T0", "T1")) == (1, 2)

@@ -165,8 +165,11 @@ def _proposed(recording: Path, map_out: Path | None) -> "RecordingMap | None":
     from config.files import write_whole
     from daemon.workbench.thermal.reading import proposal
 
-    found, usual = proposal(recording)
-    if usual and map_out is None:
+    found, unread = proposal(recording)
+    if unread is not None and map_out is None:
+        if unread:
+            names = ", ".join(map(repr, unread))
+            say(f"warning: not read, for want of a usual name: {names}; --map-out map.yaml writes a map that reads it")
         return None
     if map_out is None or found.lacking:
         click.echo(found.yaml(), nl=False)
@@ -180,7 +183,7 @@ def _proposed(recording: Path, map_out: Path | None) -> "RecordingMap | None":
     for note in found.notes:
         say(f"warning: {note}")
     if found.left_out:
-        names = ", ".join(map(repr, found.left_out))
+        names = found.named_left_out()
         say(f"not used, because the names do not say what they are: {names}; add what is a temperature to {map_out}")
     return found.recording_map
 
@@ -212,7 +215,7 @@ def _chosen_without(chosen: dict[str, Any] | None, remains: float) -> str:
 
 def _show_sensors(ids: dict[str, int]) -> None:
     """Say which ID each sensor has, where its name does not tell it."""
-    if any(name.upper() != f"T{number}" for name, number in ids.items()):
+    if any(name.upper().removeprefix("T") != str(number) for name, number in ids.items()):
         numbered = ", ".join(f"{number} is {name!r}" for name, number in ids.items())
         say(f"the machine's configuration must give these sensors the same IDs: {numbered}")
 
@@ -223,7 +226,8 @@ def _show_noticed_late(found: list[dict[str, Any]]) -> None:
 
     if found:
         worst = found[0]
-        more = f"; so do {counted(len(found) - 1, 'other sensor')}" if len(found) > 1 else ""
+        do = "does" if len(found) == 2 else "do"
+        more = f"; so {do} {counted(len(found) - 1, 'other sensor')}" if len(found) > 1 else ""
         say(
             f"sensor {worst['sensor']} may drift by {worst['from_k']:.1f} K before the others tell, which makes "
             f"{worst['error_um']:.1f} um of {worst['channel']} where the band is {worst['band_um']:.1f} um{more}: "

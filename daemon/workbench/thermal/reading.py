@@ -1,8 +1,9 @@
 """Reads several recordings alike: one map for all, the same columns in the same order, or which of them differ."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -66,7 +67,7 @@ def require_different(recordings: Sequence[Recording]) -> None:
 def common_map(paths: Sequence[Path], recording_map: RecordingMap | None) -> RecordingMap:
     """Return the map of those columns that all recordings have; raises DatasetError where there are none of a kind."""
     one, found = _columns(paths, recording_map)
-    keys = one.model_dump(exclude_none=True)
+    keys = one.model_dump(exclude_unset=True, exclude_none=True)
     for kind in KINDS:
         if kind not in keys:
             continue
@@ -144,8 +145,10 @@ def _quoted(name: str) -> str:
     return f"'{name}'" if name.isalnum() else '"' + name.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
-def proposal(path: Path) -> tuple[MapProposal, bool]:
-    """Return what the columns of a recording seem to be, and whether they carry the usual names.
+def proposal(path: Path) -> tuple[MapProposal, list[str] | None]:
+    """Return what the columns of a recording seem to be, and which of them are not read without a map.
+
+    The latter is None where nothing is read without one, because the names are not the usual ones.
 
     Raises RecordingFileError when it cannot be read.
     """
@@ -160,10 +163,27 @@ def proposal(path: Path) -> tuple[MapProposal, bool]:
     try:
         usual = usual_map(header)
     except ColumnError:
-        return propose_map(header, rows, encoding), False
+        return propose_map(header, rows, encoding), None
     found = propose_map(header, rows, encoding)
     if found.keys.get("unit_row"):
-        return found, False
+        return found, None
     columns = {kind: names for kind, names in matching_names(usual, header).items() if kind in KINDS and names}
     keys = usual.model_dump(exclude_unset=True, exclude_none=True) | columns
-    return MapProposal(keys=keys, left_out=(), lacking=(), notes=()), True
+    unread = []
+    for kind in ("speed", *KINDS):
+        named = found.keys.get(kind) or []
+        new = [name for name in ([named] if isinstance(named, str) else named) if name not in _all_of(keys)]
+        if kind == "speed" and new and kind not in keys:
+            keys |= {key: found.keys[key] for key in ("speed", "speed_unit") if key in found.keys}
+        elif kind != "speed":
+            keys |= {kind: [*keys.get(kind, ()), *new]} if new else {}
+        unread += new
+    keys |= {
+        key: found.keys[key] for key in ("temperature_units", "displacement_units", "missing") if key in found.keys
+    }
+    return MapProposal(keys=keys, left_out=(), lacking=(), notes=()), unread
+
+
+def _all_of(keys: Mapping[str, Any]) -> set[str]:
+    """Return the columns that a map names."""
+    return {keys["time"], keys.get("speed", ""), *(name for kind in KINDS for name in keys.get(kind, ()))}

@@ -238,14 +238,15 @@ FIRST_POSITION_ID = 1_000_001
 
 
 def sensor_ids_from_names(names: Sequence[str], axis_positions: Sequence[str] = ()) -> tuple[int, ...]:
-    """Return the machine's sensor IDs: the number where every column is T<number>, else 1, 2 .. in order.
+    """Return the machine's sensor IDs: the number where every column is T<number> or <number>, else 1, 2 .. in order.
 
     The last of the names may be axis positions, which have IDs of their own.
     """
     if axis_positions:
         of_sensors = sensor_ids_from_names(names[: len(names) - len(axis_positions)])
         return (*of_sensors, *range(FIRST_POSITION_ID, FIRST_POSITION_ID + len(axis_positions)))
-    numbers = [int(name[1:]) for name in names if name[:1] in "tT" and name[1:].isascii() and name[1:].isdigit()]
+    texts = [name[1:] if name[:1] in {"t", "T"} else name for name in names]
+    numbers = [int(text) for text in texts if text.isascii() and text.isdigit()]
     if len(numbers) == len(names) == len(set(numbers)) and min(numbers, default=1) >= 1:
         return tuple(numbers)
     return tuple(range(1, len(names) + 1))
