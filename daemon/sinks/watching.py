@@ -37,7 +37,7 @@ def silence(sink: str, store: Path, now_utc_s: float) -> str:
     if runs(store, now_utc_s):
         return (
             f"sink {sink}: its process runs and has been at one piece for more than {SILENT_AFTER_S:g} s: look at the "
-            "server and the network"
+            "server, the network and the room on this computer's disk"
         )
     return f"sink {sink}: its process does not run, so the history waits: start toolpoint-sink.service"
 
