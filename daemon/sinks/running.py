@@ -136,6 +136,7 @@ class SinkRunner:
                         self._begin_anew_where_needed(outbox)
                         more = sink.transfer(outbox, self._progress)
                 except SinkWaitsError as waits:
+                    self._retry.works()
                     self._note(str(waits))
                 except (HistoryError, sqlite3.Error) as error:
                     if not isinstance(sink, Watch):

@@ -28,7 +28,7 @@ from daemon.cli import main
 from daemon.history import HistoryReader, HistoryWriter, housekeeping
 from daemon.history.cursors import Cursor, cursor_path
 from daemon.history.database import HistoryError, connect_reader
-from daemon.sinks.contract import Progress, Retry, SinkError
+from daemon.sinks.contract import Progress, Retry, SinkError, SinkWaitsError
 from daemon.sinks.outbox import STREAMS, Outbox
 from daemon.sinks.running import SinkRunner, run_sinks, sink_status
 from daemon.sinks.watching import watch
@@ -116,6 +116,32 @@ def test_a_connection_that_never_lasts_is_tried_less_and_less_often_and_one_that
         now_s += lasted_s
         waits.append(retry.after_failure())
     assert waits[19] >= 40.0 and waits[20] < 0.3
+
+
+def test_a_connection_that_stood_while_it_waited_for_a_reader_is_tried_again_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Lost after hours again and again, it was away for a minute each time, as if it had never been there."""
+    store, stop, waits, now_s = tmp_path / "h.sqlite", threading.Event(), [], [0.0]
+    writer_of(store, 0.0).close()
+    monkeypatch.setattr("daemon.sinks.running.Retry", lambda: Retry(lambda: now_s[0]))
+
+    class Waiting(Taker):
+        looks = 0
+
+        def transfer(self, outbox: Outbox, progress: Progress) -> bool:
+            now_s[0] += 3600.0
+            self.looks += 1
+            raise SinkWaitsError("nobody reads") if self.looks < 3 else SinkError("lost")
+
+    def wait(duration_s: float) -> None:
+        if duration_s != SINK.period_s:
+            waits.append(duration_s)
+        if len(waits) == 20:
+            stop.set()
+
+    SinkRunner(SINK, store, "mill", stop, lambda _config, _machine: Waiting(), wait).run()
+    assert max(waits) < 0.3
 
 
 def writer_of(store: Path, utc_s: float, **changes: object) -> HistoryWriter:
