@@ -11,7 +11,6 @@ from models.records import OutputState
 SILENT_AFTER_S = 120.0
 """A history to which nothing was added for so long is that of a daemon that does not run."""
 Number = float | None
-Numbers = Mapping[str, Number]
 
 
 def current_values(outbox: Outbox) -> dict[str, Any]:

@@ -15,8 +15,6 @@ from models.records import FloatArray
 
 COLOURS = ("#0072b2", "#c25400", "#00805c", "#a84b85", "#8a6d00", "#2b86b8", "#54626f", "#6d4bb0", "#16202a")
 """Those of the monitor's pages (`daemon/monitor/pages/style.css`), told apart with every kind of colour vision."""
-WITH, WITHOUT = COLOURS[0], COLOURS[1]
-"""With and without compensation; also estimated and measured."""
 BODY_COLOURS = {"shaft": "#c9d6e2", "ring": "#9fb4c7", "core": "#e8d9c0", "holder": "#e2d3b4", "tool": "#c2c2c2"}
 CONTOUR_COLOUR = "#00805c"
 MARK_COLOUR = "#9b4a00"

@@ -40,11 +40,6 @@ class FoundTag:
     given_unit: str
     """As the server writes it."""
 
-    @property
-    def is_length(self) -> bool:
-        """Whether it is measured in a unit of length."""
-        return self.unit in LENGTHS.values()
-
 
 async def analog_variables(session: TagSession) -> tuple[list[FoundTag], bool]:
     """Return the numbers below the server's objects, and whether there are more; namespace 0 is the server's own.

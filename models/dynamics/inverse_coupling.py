@@ -17,8 +17,6 @@ from models.records import FloatArray
 
 Y_TIP, Y_SECOND = 0, 2
 ROOT = (4, 5)
-LEAST_SHARE = 1e-9
-"""A response that differs from the rigid clamping's by a smaller share says nothing about the clamping."""
 
 
 def held_stiffness(

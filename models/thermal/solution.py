@@ -112,7 +112,7 @@ class Solution:
         return float(np.clip(self._lost(without) / np.maximum(explained, 1e-300), 0.0, 1.0).max())
 
     def _lost(self, without: Sequence[int]) -> FloatArray:
-        """Return ``w[S]^T Q[S, S]^-1 w[S]`` of each channel, Q but for the same factor as in `leverage`."""
+        """Return ``w[S]^T Q[S, S]^-1 w[S]`` of each channel, Q but for the same factor as in `leverage_and_size`."""
         out, _, worth = self.eliminated(without)
         return np.asarray((self.weights[out] * worth).sum(axis=0))
 
@@ -224,21 +224,14 @@ def imputed_mean(
     return np.asarray(np.sum([weight * each for weight, each in zip(share, imputed, strict=True)], axis=0))
 
 
-def leverage(solutions: Sequence[Solution], change: FloatArray) -> FloatArray:
-    """Return the summed leverage of changes of the features, shape (n,): how little training says about them.
+def leverage_and_size(solutions: Sequence[Solution], change: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the leverage of changes of the features, and ``x^T x``: what it would be if training said nothing.
 
     A ridge with penalty p on columns with cross products G says of a change x how little training knows of it:
     ``p x^T (G + p)^-1 x``. With Gaussian weights that is the variance of the estimate but for a constant, so its
-    root is a length, and a residual beyond the domain is expected to grow with it.
-
-    `solutions`: the fitted ridges; one without directions adds nothing. `change`, shape (n, d): features minus features
-    at a reference.
+    root is a length, and a residual beyond the domain is expected to grow with it. A ridge without directions adds
+    nothing. `change`, shape (n, d): features minus features at a reference.
     """
-    return leverage_and_size(solutions, change)[0]
-
-
-def leverage_and_size(solutions: Sequence[Solution], change: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the leverage of changes of the features, and ``x^T x``: what it would be if training said nothing."""
     total, size = np.zeros(len(change)), np.zeros(len(change))
     for ridge in solutions:
         if ridge.directions is None or ridge.remaining is None:

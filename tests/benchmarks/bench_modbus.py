@@ -20,13 +20,14 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 
 from bad_modbus_wire import BadWire, contents, follow, source_of, undamaged
+from modbus_pty import ModbusPtyBox
 
 from config.schema.modbus import ModbusConfig, ModbusRequest
 from config.schema.source_drivers import SourceConfig
 from drivers.clock import SystemClock
 from drivers.modbus.client import ModbusClient
 from drivers.modbus.source import ModbusSource
-from drivers.sim.wires.modbus_box import MBAP, READ, ModbusPtyBox, ModbusTcpBox, answer_to, crc16
+from drivers.sim.wires.modbus_box import MBAP, READ, ModbusTcpBox, answer_to, crc16
 
 LONG_S = 1e5
 

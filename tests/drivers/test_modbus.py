@@ -11,6 +11,7 @@ import pytest
 from bad_modbus_wire import PATIENCE_S, BadWire, contents, follow, sensor, source_of, undamaged
 from hypothesis import given
 from hypothesis import strategies as st
+from modbus_pty import ModbusPtyBox
 from pydantic import ValidationError
 
 from config.schema.modbus import ModbusConfig, ModbusSensorConfig, grouped, told_apart
@@ -19,7 +20,7 @@ from drivers.clock import SystemClock
 from drivers.contract import LinkError
 from drivers.modbus.registers import number_of
 from drivers.modbus.source import ModbusSource
-from drivers.sim.wires.modbus_box import ModbusPtyBox, ModbusTcpBox, Send, answer_to, crc16, registers_of, rtu_answer
+from drivers.sim.wires.modbus_box import ModbusTcpBox, Send, answer_to, crc16, registers_of, rtu_answer
 from models.quality import Reason
 
 TYPES = ("int16", "uint16", "int32", "uint32", "float32")

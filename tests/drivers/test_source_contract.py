@@ -16,6 +16,7 @@ import aiomqtt
 import pytest
 import pytest_asyncio
 from asyncua import Server, ua
+from modbus_pty import ModbusPtyBox
 from source_contract import (
     CHECKS,
     DISPLACEMENTS,
@@ -42,7 +43,7 @@ from drivers.mqtt import MqttSource
 from drivers.opcua.tags import OpcUaTagSource
 from drivers.process import ProcessSource
 from drivers.readings import RowSource
-from drivers.sim.wires.modbus_box import ModbusPtyBox, ModbusTcpBox, registers_of
+from drivers.sim.wires.modbus_box import ModbusTcpBox, registers_of
 from drivers.sim.wires.tcp_relay import TcpRelay
 
 PERIOD_S = 0.02

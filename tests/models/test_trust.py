@@ -9,9 +9,9 @@ from models.control.probing import BiasFilter
 from models.recordings.dataset import DatasetError, Recording
 from models.records import FloatArray
 from models.thermal.features import lag_table
-from models.thermal.solution import band_factor, leverage
+from models.thermal.solution import band_factor, leverage_and_size
 from models.thermal.training.domain import farthest_leverage, leverage_positions
-from models.thermal.training.families import default_family
+from models.thermal.training.families import DEFAULT_DESIGNS, MeanOfRidges
 from models.thermal.training.folds import cycles, few_folds_factor, inner_folds, spindle_starts
 from models.thermal.training.inputs import build_inputs
 from models.thermal.training.probing import probed_residual_um, wander_um2_per_min
@@ -93,7 +93,7 @@ def test_a_useful_recording_passes_the_gate() -> None:
     inputs = build_inputs([warming()], sample_s=60.0)
     rows = inputs.trainable()
     fold, _ = inner_folds(inputs, rows)
-    trust = judge(inputs, rows, fold, default_family(inputs, rows, fold, None))
+    trust = judge(inputs, rows, fold, MeanOfRidges(inputs, rows, fold, None, DEFAULT_DESIGNS))
     assert trust.refused is None
     assert min(trust.forward_skill) > 0.0 and trust.held_out_relative_rmse < 0.5
     assert np.isfinite(trust.band_um).all()
@@ -103,16 +103,19 @@ def test_a_band_widens_in_proportion_to_the_distance_beyond_the_domain() -> None
     inputs = build_inputs([warming()], sample_s=60.0)
     rows = inputs.trainable()
     fold, _ = inner_folds(inputs, rows)
-    fit = default_family(inputs, rows, fold, None).fit()
+    fit = MeanOfRidges(inputs, rows, fold, None, DEFAULT_DESIGNS).fit()
     limit = farthest_leverage(inputs, rows, fit.solutions)
     points = leverage_positions(fit.solutions, inputs.features)
     change = inputs.features - inputs.features[0]
     np.testing.assert_allclose(
-        np.square(points - points[0]).sum(axis=1), leverage(fit.solutions, change), rtol=1e-6, atol=1e-9 * limit
+        np.square(points - points[0]).sum(axis=1),
+        leverage_and_size(fit.solutions, change)[0],
+        rtol=1e-6,
+        atol=1e-9 * limit,
     )
-    farthest = np.sqrt(leverage(fit.solutions, change).max() / limit)
+    farthest = np.sqrt(leverage_and_size(fit.solutions, change)[0].max() / limit)
     assert 0.0 < farthest <= 1.0 + 1e-9
-    distance = np.sqrt(leverage(fit.solutions, 4.0 * change).max() / limit)
+    distance = np.sqrt(leverage_and_size(fit.solutions, 4.0 * change)[0].max() / limit)
     assert distance == pytest.approx(4.0 * farthest)
     assert band_factor(np.array([0.3 * farthest, 4.0])).tolist() == [1.0, 4.0]
 
@@ -133,7 +136,7 @@ def test_a_machine_that_wanders_on_its_own_is_refused(seed: int) -> None:
     inputs = build_inputs([recording(np.cumsum(rng.normal(0.0, 0.05, rows_count)), degc, None)], sample_s=60.0)
     rows = inputs.trainable()
     fold, _ = inner_folds(inputs, rows)
-    assert judge(inputs, rows, fold, default_family(inputs, rows, fold, None)).refused is not None
+    assert judge(inputs, rows, fold, MeanOfRidges(inputs, rows, fold, None, DEFAULT_DESIGNS)).refused is not None
 
 
 def test_one_warm_up_alone_is_refused() -> None:
@@ -142,7 +145,7 @@ def test_one_warm_up_alone_is_refused() -> None:
     inputs = build_inputs([recording(20.0 * rise, 20.0 + 5.0 * rise[:, None], None)], sample_s=60.0)
     rows = inputs.trainable()
     fold, _ = inner_folds(inputs, rows)
-    refused = judge(inputs, rows, fold, default_family(inputs, rows, fold, None)).refused
+    refused = judge(inputs, rows, fold, MeanOfRidges(inputs, rows, fold, None, DEFAULT_DESIGNS)).refused
     assert refused is not None and "training saw 1 excursion of more than 30% of the span in 1 run;" in refused
     assert "record 2 more runs of about 4 h, each warming for half of the time and then cooling" in refused
 

@@ -1,5 +1,7 @@
 """A small fleet on disk: sisters of the simulated machine with a few of its sensors, and the map of whose is what."""
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,12 +10,45 @@ import yaml
 from config.schema.temperatures import SensorConfig
 from daemon.simulation.simulated_model import CHANNELS, published_sensors, training_programmes
 from drivers.files.recording_csv import write_recording
-from drivers.sim.machine.day import Day, Start
+from drivers.sim.machine.day import SPREAD, Day, Start
 from drivers.sim.machine.recording import record
-from drivers.sim.machine.sister import on_sister
 from models.recordings.dataset import Recording
 
 EVERY_S = 60.0
+
+
+def on_sister(day: Day, machine: int, spread: float = SPREAD) -> Day:
+    """Return a day as it is on a sister machine.
+
+    Every capacity, conductance, heat source and coefficient of the structure of a sister departs from nominal by a
+    factor of its own, always the same for the same machine; what differs from day to day comes on top.
+
+    Parameters
+    ----------
+    day
+        A day of the machine of the parameters.
+    machine
+        Number of the sister, 0 or more; 0 is the machine of the parameters itself.
+    spread
+        Largest relative departure of a sister's physics from nominal.
+
+    """
+    if machine == 0:
+        return day
+    rng = np.random.default_rng([machine, 211])
+
+    def other(factors: Mapping[str, float]) -> dict[str, float]:
+        """Return the day's factors times the sister's."""
+        own = 1.0 + spread * rng.uniform(-1.0, 1.0, len(factors))
+        return {name: factor * mine for (name, factor), mine in zip(factors.items(), own.tolist(), strict=True)}
+
+    return replace(
+        day,
+        capacity_factors=other(day.capacity_factors),
+        conductance_factors=other(day.conductance_factors),
+        heat_factors=other(day.heat_factors),
+        structure_factors=other(day.structure_factors),
+    )
 
 
 def few_sensors(count: int = 16) -> list[SensorConfig]:

@@ -22,8 +22,6 @@ MOST_WAITING = 32
 """So many queries wait for a thread; more are refused."""
 LONGEST_QUERY_S = 20.0
 """A query that takes longer is broken off [s]."""
-LEAST_COMPRESSED = 2048
-"""A shorter document is not compressed [byte]."""
 
 
 class QueryBrokenOffError(Exception):

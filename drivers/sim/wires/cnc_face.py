@@ -12,9 +12,6 @@ from drivers.sim.wires.haas_server import SimulatedHaasServer
 from drivers.sim.wires.mtconnect_agent import SimulatedMtconnectAgent
 from drivers.sim.wires.opcua_server import ServerSecurity, SimulatedCncServer
 
-SIMULATED = ("opcua", "focas", "haas")
-"""Drivers whose control is simulated here."""
-
 
 class CncServer(Protocol):
     """A server on 127.0.0.1 that a driver connects to."""

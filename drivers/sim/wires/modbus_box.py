@@ -1,18 +1,14 @@
-"""Simulated boxes that answer Modbus, over TCP or on a pseudo-terminal; of its own, without a library.
+"""Simulated boxes that answer Modbus, over TCP; of its own, without a library.
 
 What an answer does on its way (late, twice, in another's place) is decided by `way`, so that a test can play it.
 """
 
 import asyncio
-import contextlib
-import os
 import struct
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Literal
 
 from config.schema.modbus import ModbusSensorConfig
-from drivers.sim.wires.pty_port import PtyPort
 
 Table = Literal["holding", "input"]
 Contents = Callable[[int, Table, int, int], Sequence[int] | None]
@@ -135,55 +131,3 @@ def rtu_answer(frame: bytes, contents: Contents) -> bytes:
         return b""
     body = frame[:1] + answer_to(frame[0], frame[1:-2], contents)
     return body + crc16(body)
-
-
-class ModbusPtyBox:
-    """Answers on a pseudo-terminal."""
-
-    def __init__(self, contents: Contents, link: Path, *, way: Way = at_once) -> None:
-        self._contents = contents
-        self.way = way
-        self._port = PtyPort(link)
-        self._master: int | None = None
-        self._received = bytearray()
-        self.requests = 0
-
-    def start(self) -> None:
-        """Make the port appear and answer on it."""
-        self._port.plug()
-        self._master = self._port.descriptor
-        asyncio.get_running_loop().add_reader(self._master, self._on_bytes)
-
-    def stop(self) -> None:
-        """Make the port vanish."""
-        if self._master is not None:
-            asyncio.get_running_loop().remove_reader(self._master)
-            self._master = None
-            self._port.unplug()
-
-    def send(self, data: bytes) -> None:
-        """Put bytes on the line."""
-        if self._master is not None:
-            with contextlib.suppress(OSError):
-                os.write(self._master, data)
-
-    def _on_bytes(self) -> None:
-        assert self._master is not None
-        try:
-            self._received += os.read(self._master, LONGEST_FRAME)
-        except OSError:  # nobody has it open: look again when somebody does
-            asyncio.get_running_loop().remove_reader(self._master)
-            asyncio.get_running_loop().call_later(0.01, self._listen_again)
-            return
-        while len(self._received) >= RTU_REQUEST_BYTES:
-            frame = bytes(self._received[:RTU_REQUEST_BYTES])
-            if answer := rtu_answer(frame, self._contents):
-                del self._received[:RTU_REQUEST_BYTES]
-                self.requests += 1
-                self.way(answer, self.send)
-            else:
-                del self._received[:1]
-
-    def _listen_again(self) -> None:
-        if self._master is not None:
-            asyncio.get_running_loop().add_reader(self._master, self._on_bytes)

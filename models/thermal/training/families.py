@@ -256,11 +256,6 @@ def members(left_out_rmse: Sequence[float]) -> list[int]:
     return [int(index) for index in np.flatnonzero(scores <= max(MEMBER_FACTOR * best, best + MEMBER_SLACK))]
 
 
-def default_family(inputs: Inputs, rows: BoolArray, fold: IntArray, probe_min: float | None) -> Problem:
-    """Return the default model: the mean of two ridges on temperatures, their lags and lagged speed."""
-    return MeanOfRidges(inputs, rows, fold, probe_min, DEFAULT_DESIGNS)
-
-
 def ridge_family(inputs: Inputs, rows: BoolArray, fold: IntArray, probe_min: float | None) -> Problem:
     """Return a ridge on the columns of the inputs as they are."""
     return MeanOfRidges(inputs, rows, fold, probe_min, (Design(departures=False, correlation_min=None),))

@@ -24,8 +24,6 @@ RUN_VARIANCE = 10.0
 """Of the constant of a run, relative to the variance of the displacements: it may be anything."""
 COORDINATES = 16
 """So many leading principal directions of the columns are the coordinates of what bends."""
-OF_NOISE = 5
-"""Hyper-parameters beside one for each group: amplitude and length of what bends, residual, its time, noise."""
 FIRST_SCALES = (1.0, 0.3, 0.1, 30.0, 0.03)
 """Where the search begins: each group, what bends, the residual, its time [min], the noise."""
 
