@@ -167,3 +167,12 @@ def test_every_benchmark_is_named_and_starts_by_hand() -> None:
     assert all(f"tests/benchmarks/{Path(each).name}" in text for each in benchmarks)
     done = subprocess.run([sys.executable, "-c", START_EACH, *benchmarks], capture_output=True, text=True, check=False)
     assert done.returncode == 0 and done.stdout.count("usage:") == len(benchmarks), done.stderr
+
+
+def test_the_changelog_tells_of_this_version_what_a_user_notices() -> None:
+    """Several hundred lines of it, each mend of what was never released, told nobody anything."""
+    text = (ROOT / "CHANGELOG.md").read_text("utf-8")
+    unreleased = text[text.index("## [Unreleased]") : text.index("## [0.1.0]")]
+    assert len(unreleased.encode()) <= 15_000
+    headings = re.findall(r"^### .*", unreleased, re.M)
+    assert len(headings) == len(set(headings))
