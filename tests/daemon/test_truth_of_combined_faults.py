@@ -68,10 +68,9 @@ def test_a_history_that_once_ended_wrong_ends_at_the_truth_or_holds(tmp_path: Pa
     assert not shop.findings, "\n".join([*shop.findings[:3], *shop.said])
 
 
-def telling(first: int, count: int) -> list[int]:
-    """Return so many seeds from the first one on, but those that are known to be judged at their end before others."""
-    seeds = range(first, first + max(count, 200))
-    return sorted(sorted(seeds, key=lambda seed: seed not in FOLLOWED)[:count])
+def telling(first: int, count: int, times: int) -> Sequence[int]:
+    """Return the seeds of so many from the first one on that are judged at their end; `times` as many when asked to."""
+    return range(first, first + count * times) if times > 1 else sorted(FOLLOWED & set(range(first, first + count)))
 
 
 def judge(directory: Path, seeds: Sequence[int], *, wider: bool = False) -> None:
@@ -91,7 +90,7 @@ def test_some_histories_end_at_the_truth_or_hold(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_many_histories_end_at_the_truth_or_hold(tmp_path: Path, times_as_many: int) -> None:
-    judge(tmp_path, telling(2000, 120 * times_as_many))
+    judge(tmp_path, telling(2000, 200, times_as_many))
 
 
 def test_some_histories_with_restarts_and_a_guard_that_goes_to_zero_end_at_the_truth_or_hold(tmp_path: Path) -> None:
@@ -102,4 +101,4 @@ def test_some_histories_with_restarts_and_a_guard_that_goes_to_zero_end_at_the_t
 def test_many_histories_with_restarts_and_a_guard_that_goes_to_zero_end_at_the_truth_or_hold(
     tmp_path: Path, times_as_many: int
 ) -> None:
-    judge(tmp_path, telling(2200, 90 * times_as_many), wider=True)
+    judge(tmp_path, telling(2200, 150, times_as_many), wider=True)
