@@ -17,7 +17,7 @@ settings.register_profile("patient", deadline=None, suppress_health_check=[Healt
 settings.load_profile("patient")
 
 HARDSHIPS = "tests/system/test_hardships.py::test_nothing_acknowledged_is_lost_and_what_must_hold_holds"
-REPLAY = "tests/daemon/test_replay_follows.py::test_every_family_that_training_makes_is_followed"
+REPLAY = "tests/daemon/test_replay_follows.py::test_what_training_makes_is_followed"
 LONGEST_FIRST = (
     f"{HARDSHIPS}[process]",
     "tests/daemon/test_truth_of_combined_faults.py",
@@ -31,18 +31,13 @@ LONGEST_FIRST = (
     "tests/daemon/test_lags_on_line.py",
     f"{REPLAY}[gaussian]",
     "tests/system/test_warm_up.py",
-    f"{REPLAY}[lags]",
     "tests/system/test_stability_referee.py",
     f"{REPLAY}[increments]",
     "tests/zoo/test_zoo.py",
     "tests/models/test_chatter.py",
-    f"{REPLAY}[increments-b0]",
     "tests/daemon/test_cli_thermal_evaluate.py",
-    f"{REPLAY}[ridge]",
     "tests/system/test_warm_up_spindle.py",
-    f"{REPLAY}[pls]",
     "tests/models/test_semi_discretisation.py",
-    f"{REPLAY}[lasso]",
     "tests/system/test_fault_campaign.py",
     "tests/daemon/test_replay_follows.py",
     "tests/system/test_pages.py",

@@ -12,6 +12,7 @@ from searched_once import searched_once
 
 from daemon.cli import main
 from daemon.cli.thermal.evaluate import MODELS, parse_fault
+from daemon.simulation.replaying import LEAST_SHARE
 from daemon.workbench.thermal.shortfalls import beyond_training, on_line_sentences
 from models.recordings.dataset import Recording
 from models.thermal.family import model_from_json
@@ -122,6 +123,7 @@ def test_every_family_says_what_it_chose(recording: Path, model: str) -> None:
     assert found["model"] == model and found["hyper_parameters"]
     assert found["mean"]["rmse_um"] > 0.0
     assert found["mean"]["online"]["mean_confidence"] > 0.7, "the daemon runs every family"
+    assert all(test["online"]["following"] >= LEAST_SHARE for test in found["tests"]), "and follows it"
 
 
 def test_the_names_are_those_of_the_families() -> None:

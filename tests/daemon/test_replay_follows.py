@@ -12,7 +12,6 @@ from click.testing import CliRunner
 from thermal_runs import run
 
 from daemon.cli import main
-from daemon.cli.thermal.evaluate import MODELS
 from daemon.history.series import EventRecord
 from daemon.simulation.replaying import LEAST_SHARE, WHOLE_SHARE, allowed_change_k, following, played_otherwise
 from daemon.simulation.simulation import as_sent
@@ -117,9 +116,13 @@ def played(tmp_path: Path, recording: Path, model: Path, *options: str) -> "subp
 
 @pytest.mark.slow
 @pytest.mark.wires
-@pytest.mark.parametrize("family", MODELS)
-def test_every_family_that_training_makes_is_followed(tmp_path: Path, family: str) -> None:
-    """Half of a run that the model has not seen; two families or more are averaged, lags and processes included."""
+@pytest.mark.parametrize("family", ["default", "gaussian", "increments"])
+def test_what_training_makes_is_followed(tmp_path: Path, family: str) -> None:
+    """Half of a run that the model has not seen: a mean of families, a process, and a model without lags.
+
+    The other families are models of these kinds; `thermal evaluate` runs each as the daemon does, and rises since the
+    start are played with two of them.
+    """
     paths = [str(run(tmp_path, number)) for number in range(1, 7)]
     model = tmp_path / "model.json"
     trained = CliRunner().invoke(main, ["thermal", "train", *paths[:-1], "--model", family, "-o", str(model)])
@@ -128,8 +131,7 @@ def test_every_family_that_training_makes_is_followed(tmp_path: Path, family: st
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["following"]["active_share"] >= LEAST_SHARE and "ACTIVE for" in done.stderr
-    if family != "increments-b0":
-        assert all(each["with"]["rmse_um"] < each["without"]["rmse_um"] for each in found["channels"].values())
+    assert all(each["with"]["rmse_um"] < each["without"]["rmse_um"] for each in found["channels"].values())
 
 
 def test_rises_are_sent_as_temperatures_whichever_hours_of_them_are_played() -> None:
