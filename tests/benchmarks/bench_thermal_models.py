@@ -51,7 +51,7 @@ def main() -> None:
     commands = parser.add_subparsers(dest="command", required=True)
     of_recording = commands.add_parser("recording", help="figures on a real recording")
     of_recording.add_argument("file", type=Path)
-    of_recording.add_argument("--only", default="a,c,four,faults")
+    of_recording.add_argument("--only", default="a,c,probes,four,faults")
     of_sensors = commands.add_parser("sensors", help="time and memory with 302 sensors")
     of_sensors.add_argument("--families", default="default,gaussian,lags,ridge,increments")
     for name in ("train", "use"):
@@ -78,6 +78,10 @@ def on_recording(file: Path, only: Sequence[str]) -> None:
         _say("A", evaluate(recordings, SAMPLE_S, "default", Protocol(train_hours=TRAIN, test_hours=TEST), _silent))
     if "c" in only:
         _say("C", evaluate(recordings, SAMPLE_S, "default", Protocol(leave_out="cycles"), _silent))
+    if "probes" in only:
+        for name, split in (("A", {"train_hours": TRAIN, "test_hours": TEST}), ("C", {"leave_out": "cycles"})):
+            protocol = Protocol(probe_min=60.0, **split)  # type: ignore[arg-type]
+            _say(f"{name} with an hourly probe", evaluate(recordings, SAMPLE_S, "default", protocol, _silent))
     if "four" in only:
         any_four(recordings)
     if "faults" in only:

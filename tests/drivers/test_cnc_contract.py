@@ -292,12 +292,6 @@ async def test_a_hundred_connections_leave_nothing_behind(bench: Bench) -> None:
     await reconnecting_leaves_nothing_behind(bench, 100, kept=kept_of(bench))
 
 
-@pytest.mark.slow
-@pytest.mark.wires
-async def test_a_thousand_connections_leave_nothing_behind(bench: Bench) -> None:
-    await reconnecting_leaves_nothing_behind(bench, 1000, kept=kept_of(bench))
-
-
 def test_every_driver_of_the_schema_has_a_factory_and_the_reverse() -> None:
     assert set(registry.CNC_DRIVERS) == set(drivers_of(CncConfig))
     for driver, load in registry.CNC_DRIVERS.items():
