@@ -5,8 +5,10 @@ of rows over time are its hypertables, else they have partitions by month; one t
 """
 
 import contextlib
+import math
 import ssl
-from collections.abc import Iterable, Iterator, Sequence
+import time
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from importlib import resources
 from pathlib import Path
@@ -15,6 +17,7 @@ from typing import Any
 import psycopg
 import structlog
 from psycopg import errors, sql
+from psycopg.waiting import READY_NONE
 
 from config.schema.sinks import PostgresqlConfig
 from config.secret_files import SecretError, read_secret
@@ -29,6 +32,8 @@ STORE = "toolpoint store"
 """What the connection of a plant's store is called."""
 ANSWER_TIMES = 6
 """An answer may take so many times as long as connecting."""
+GIVE_UP_TIMES = 7
+"""After so many a server is given up that does not keep to its own limit, because it hangs."""
 MIGRATING = 7_413_015
 """Number of the lock under which tables are made, so that the sinks of several machines do not make them at once."""
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -73,12 +78,33 @@ def authorities() -> str:
     return next((path for path in known if path is not None and Path(path).is_file()), "system")
 
 
+class PatientConnection(psycopg.Connection[Any]):
+    """Gives a server up that says nothing for too long: one that hangs does not keep to `statement_timeout` either."""
+
+    patience_s = math.inf
+
+    def wait(self, gen: Any, *rest: Any, **more: Any) -> Any:
+        """Wait for an answer; raises OperationalError, and the connection is closed, when it takes too long."""
+        return super().wait(self._bounded(gen), *rest, **more)
+
+    def _bounded(self, gen: Generator[Any, Any, Any]) -> Generator[Any, Any, Any]:
+        until_s, ready = time.monotonic() + self.patience_s, None
+        while True:
+            if ready == READY_NONE and time.monotonic() > until_s:
+                self.pgconn.finish()
+                raise psycopg.OperationalError(f"statement timeout: the server says nothing for {self.patience_s:g} s")
+            try:
+                ready = yield gen.send(ready)
+            except StopIteration as end:
+                return end.value
+
+
 class Database:
     """One connection; a new one is made after every SinkError."""
 
     def __init__(self, config: PostgresqlConfig, where: str, application: str) -> None:
         self._config, self._where, self._application = config, where, application
-        self._connection: psycopg.Connection[Any] | None = None
+        self._connection: PatientConnection | None = None
         self._staged: set[str] = set()
         self._months: set[tuple[str, int, int]] = set()
         self._partitioned: set[str] = set()
@@ -95,6 +121,7 @@ class Database:
             connection = self._connection = self._connect()
             with connection.transaction():
                 self._migrate(connection)
+            connection.patience_s = GIVE_UP_TIMES * self._config.timeout_s
             found = connection.execute(
                 "SELECT relname FROM pg_class WHERE relnamespace = %s::regnamespace AND relkind = 'p'", (SCHEMA,)
             )
@@ -175,7 +202,7 @@ class Database:
 
     # --- connection and schema -----------------------------------------------------------------
 
-    def _connect(self) -> psycopg.Connection[Any]:
+    def _connect(self) -> PatientConnection:
         config = self._config
         answer_ms = int(ANSWER_TIMES * config.timeout_s * 1e3)
         tls: dict[str, Any] = {"sslmode": "disable"}
@@ -183,7 +210,7 @@ class Database:
             tls = {"sslmode": "verify-full", "sslrootcert": str(config.ca_certificate or authorities())}
             if config.ca_certificate is not None and not config.ca_certificate.is_file():
                 raise self.problem(f"`ca_certificate` {config.ca_certificate} cannot be read: check the path")
-        connection: psycopg.Connection[Any] = psycopg.connect(
+        connection = PatientConnection.connect(
             host=config.host,
             port=config.port,
             dbname=config.database,
@@ -198,6 +225,7 @@ class Database:
             prepare_threshold=None,  # behind a pooler another connection may have statements of the same names
             **tls,
         )
+        connection.patience_s = GIVE_UP_TIMES * config.timeout_s
         # Not as `options` of the connection: a pooler (PgBouncer) leaves those out.
         settings = "SELECT set_config('search_path', %s, false), set_config('statement_timeout', %s, false)"
         connection.execute(settings, (SCHEMA, str(answer_ms)))
@@ -210,7 +238,7 @@ class Database:
         except SecretError as error:
             raise self.problem(str(error)) from error
 
-    def _migrate(self, connection: psycopg.Connection[Any]) -> None:
+    def _migrate(self, connection: PatientConnection) -> None:
         """Apply the scripts that the database does not have yet; refuse a schema of a newer version."""
         connection.execute("SELECT pg_advisory_xact_lock(%s)", (MIGRATING,))
         there = connection.execute("SELECT 1 FROM pg_namespace WHERE nspname = %s", (SCHEMA,)).fetchone()
@@ -227,7 +255,9 @@ class Database:
         encoding = connection.info.parameter_status("server_encoding")
         if version == 0 and encoding not in ENCODINGS:
             raise SinkError(f"{self._where}: {other_encoding(str(encoding))}")
-        connection.execute("SET LOCAL statement_timeout = 0")  # a table of years takes longer than an answer may
+        if version < known[-1][0]:  # a table of years takes longer than an answer may
+            connection.execute("SET LOCAL statement_timeout = 0")
+            connection.patience_s = math.inf
         for number, script in known:
             if number > version:
                 if number > 1:
