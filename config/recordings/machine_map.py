@@ -4,7 +4,9 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from glob import escape
 from hashlib import file_digest
+from os.path import normpath
 from pathlib import Path
 
 from pydantic import Field
@@ -70,7 +72,8 @@ def load_machine_map(path: Path, recordings: Sequence[Path]) -> tuple[MachineFil
     for name, entry in one.machines.items():
         own: list[str] = []
         for pattern in entry.recordings:
-            matches = [file for file in whole if fnmatchcase(file, str(folder / pattern))]
+            meant = normpath(folder / pattern), normpath(Path(escape(str(folder))) / pattern)
+            matches = [file for file in whole if file == meant[0] or fnmatchcase(file, meant[1])]
             if not matches:
                 missing = f"{pattern!r} is none of the recordings that were given"
                 refuse(name, "recordings", f"{missing}: give it on the command line, or take it out of the map")

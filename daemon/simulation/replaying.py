@@ -212,10 +212,18 @@ class Following:
         return ""
 
 
-def not_enabled(refusal: str) -> str:
-    """Return why a replay could not be switched on, with what to do about it in a replay."""
+def not_enabled(refusal: str, arrived: int) -> str:
+    """Return why a replay could not be switched on, with what to do about it in a replay.
+
+    `arrived`: so many cycles of temperatures did.
+    """
     if OF_THE_PAST not in refusal:
         return refusal
+    if not arrived:
+        return (
+            "the daemon refused to enable: no temperature has arrived, so nothing is known of the past; nothing in "
+            "the recording does that: this computer is too busy, play it again at a smaller --speed"
+        )
     return (
         f"{refusal.partition('; wait')[0]}: begin the replay where the machine has stood still for hours "
         "(--from-hours), or join what was recorded before to the file; what begins warm can be played with a model "

@@ -13,7 +13,7 @@ from click.testing import CliRunner, Result
 from sisters import few_sensors, write_configuration, write_sister
 
 from config.loader import parse_yaml_model
-from config.recordings.machine_map import MachineMap
+from config.recordings.machine_map import MachineMap, load_machine_map
 from daemon.cli import main
 from daemon.workbench.thermal.fleet_report import contradictions, usual_share
 from models.thermal.family import model_from_json
@@ -91,6 +91,17 @@ def test_a_map_that_does_not_fit_is_refused_with_file_and_key(fleet: Path, chang
         write_map(fleet)
     assert result.exit_code == 2 and said in result.output, result.output
     assert str(path) in result.output or "machine a" in result.output
+
+
+def test_patterns_go_up_from_the_map_s_folder_and_names_may_have_brackets(tmp_path: Path) -> None:
+    folder = tmp_path / "plant [west]"
+    (folder / "maps").mkdir(parents=True)
+    paths = [folder / "run [1].csv", folder / "run-2.csv"]
+    for number, path in enumerate(paths):
+        path.write_text(f"t,T1,Z_um\n{number},20,1\n", encoding="utf-8")
+    entries = "{recordings: ['../run-*.csv', '../run [1].csv']}"
+    (one := folder / "maps" / "machines.yaml").write_text(f"configuration: tp.yaml\nmachines:\n  mill: {entries}\n")
+    assert set(load_machine_map(one, paths)[0].recordings) == set(paths)
 
 
 def test_a_copy_of_a_recording_is_refused(fleet: Path, tmp_path: Path) -> None:

@@ -204,7 +204,7 @@ def _enable(running: RunningSimulation) -> None:
     try:
         switch_on(running)
     except SimulationError as error:
-        refuse(not_enabled(str(error)))
+        refuse(not_enabled(str(error), running.client.ask("status")["cycles"]["received"]))
 
 
 def _follow(running: RunningSimulation, until_s: float) -> None:
