@@ -75,6 +75,11 @@ def test_an_hourly_probe(minutes: Recording, split_a: dict[str, Any]) -> None:
     assert with_probe["rmse_um"] <= 0.5 * without["rmse_um"]
 
 
+@pytest.mark.slow
+def test_an_hourly_probe_on_every_cycle(minutes: Recording) -> None:
+    assert figures(minutes, leave_out="cycles", probe_min=60.0)["mean"]["reduction_rmse"] >= 0.905
+
+
 def test_any_single_sensor_may_fail(split_a: dict[str, Any]) -> None:
     of_kind = {kind: [f for f in split_a["faults"] if f["kind"] == kind] for kind in ("stuck", "step", "open", "drift")}
     assert {kind: len(faults) for kind, faults in of_kind.items()} == dict.fromkeys(of_kind, 16)
