@@ -18,6 +18,8 @@ COLOURS = ("#0072b2", "#c25400", "#00805c", "#a84b85", "#8a6d00", "#2b86b8", "#5
 BODY_COLOURS = {"shaft": "#c9d6e2", "ring": "#9fb4c7", "core": "#e8d9c0", "holder": "#e2d3b4", "tool": "#c2c2c2"}
 CONTOUR_COLOUR = "#00805c"
 MARK_COLOUR = "#9b4a00"
+MARKS_PIXELS = 28
+"""The words of marks stand in two rows above the axes, and the title above them."""
 FILL_OPACITY = 0.14
 INK, GRID = "#16202a", "#e6ebf0"
 FONT = "system-ui, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif"
@@ -250,12 +252,15 @@ def _plotly(figure: Figure) -> Any:
         rows=len(pixels), cols=figure.columns, subplot_titles=[axes.title for axes in figure.axes],
         shared_xaxes=figure.shared_x, row_heights=[height / sum(pixels) for height in pixels],
     )  # fmt: skip
+    marked = {axes.title for axes in figure.axes if axes.marks}
+    drawn.for_each_annotation(lambda title: title.update(yshift=MARKS_PIXELS if title.text in marked else 0))
     shown: set[str] = {""}
     for index, axes in enumerate(figure.axes):
         place = {"row": index // figure.columns + 1, "col": index % figure.columns + 1}
         _plotly_axes(drawn, axes, place, shown, bar=index == len(figure.axes) - 1)
     title = {} if figure.number else {"title": figure.title}
-    drawn.update_layout(height=80 + sum(pixels), template="plotly_white", margin={"t": 50}, **title)
+    top = 50 + (MARKS_PIXELS if marked else 0)
+    drawn.update_layout(height=30 + top + sum(pixels), template="plotly_white", margin={"t": top}, **title)
     drawn.update_layout(font={"family": FONT, "color": INK})
     drawn.update_xaxes(gridcolor=GRID)
     drawn.update_yaxes(gridcolor=GRID)
