@@ -169,7 +169,7 @@ def _bounds(metadata: list[Any]) -> str:
         for kind, word in _BOUND_WORDS.items():
             if isinstance(item, kind):
                 found = getattr(item, kind.__name__.lower())
-                words.append(f"{word} {found:g}")
+                words.append(f"{word} {found:.8g}")
         if isinstance(item, MinLen | Len) and item.min_length:
             words.append("not empty" if item.min_length == 1 else f"at least {item.min_length}")
         if isinstance(item, MaxLen | Len) and item.max_length is not None:

@@ -243,7 +243,7 @@ def _expected(detail: Any) -> str | None:
         return _TYPES[kind]
     if kind in _BOUNDS:
         name, word = _BOUNDS[kind]
-        return f"{word} {context[name]:g}"
+        return f"{word} {context[name]:.8g}"
     if kind == "literal_error":
         return f"one of {context['expected'].replace(' or ', ', ')}{_suggestion(detail['input'], context['expected'])}"
     if kind == "string_pattern_mismatch":

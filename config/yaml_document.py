@@ -33,7 +33,7 @@ _SURPRISING_NUMBER = re.compile(
     r"[-+]?(?:0[0-9_]+|0[xX][0-9a-fA-F_]+|0[oO][0-7_]+|0[bB][01_]+|[0-9][0-9_]*_[0-9_]*(?:\.[0-9_]*)?"
     r"|[0-9]+(?::[0-5]?[0-9])+(?:\.[0-9]*)?)"
 )
-_SURROGATE = re.compile("[\ud800-\udfff]")
+_NO_CHARACTER = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]")
 _MERGE_TAG = "tag:yaml.org,2002:merge"
 
 
@@ -148,8 +148,8 @@ class _Reader:
                 self.fault(key_node, path, "a key must be a word, not a list or a mapping")
             elif key_node.tag == _MERGE_TAG and key_node.style is None:
                 merged = {**self.merge(value_node, path), **merged}
-            elif len(name := key_node.value) > MAX_TEXT_LENGTH:
-                self.fault(key_node, path, f"a key has {len(name)} characters; at most {MAX_TEXT_LENGTH} are read")
+            elif refused := _unfit(name := key_node.value):
+                self.fault(key_node, path, f"a key {refused}")
             elif name in own:
                 line = _position(own[name][0])[0]
                 self.fault(key_node, (*path, name), f"this key stands already in line {line}; keep one of them")
@@ -176,11 +176,8 @@ class _Reader:
     def scalar(self, node: yaml.ScalarNode, path: KeyPath) -> Any:
         """Return text, a number, a truth value or None."""
         text = str(node.value)
-        if len(text) > MAX_TEXT_LENGTH:
-            self.fault(node, path, f"has {len(text)} characters; at most {MAX_TEXT_LENGTH} are read")
-            return ""
-        if _SURROGATE.search(text):
-            self.fault(node, path, "the text holds half a character (a lone surrogate); remove the escape")
+        if refused := _unfit(text):
+            self.fault(node, path, f"the text {refused}")
             return ""
         if node.style is not None:
             return text
@@ -197,6 +194,16 @@ class _Reader:
         if _FLOAT.fullmatch(text):
             return float(text)
         return text
+
+
+def _unfit(text: str) -> str:
+    """Return why a key or value is no text that a path, a wire or a terminal takes, '' when it is."""
+    if len(text) > MAX_TEXT_LENGTH:
+        return f"has {len(text)} characters; at most {MAX_TEXT_LENGTH} are read"
+    if found := _NO_CHARACTER.search(text):
+        what = "half a character, a lone surrogate" if found[0] >= "\ud800" else "a control character"
+        return f"holds U+{ord(found[0]):04X} ({what}); remove the escape"
+    return ""
 
 
 def _refusal(text: str) -> str | None:

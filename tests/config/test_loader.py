@@ -88,7 +88,10 @@ def problems(text: str, model: type[Section] = Whole) -> list[str]:
         ("title: x\n---\ntitle: y", ["f.yaml:2:1: this is not valid YAML: but found another document"]),
         ("title: *nobody", ["f.yaml:1:8: this is not valid YAML: found undefined alias 'nobody'"]),
         ("title: a\0b", ["f.yaml:1:9: the character U+0000 may not stand in YAML; remove it"]),
-        ('title: "\\ud800"', ["f.yaml:1:8: title: the text holds half a character"]),
+        ('title: "\\ud800"', ["f.yaml:1:8: title: the text holds U+D800 (half a character, a lone surrogate)"]),
+        ('title: "a\\0b"', ["f.yaml:1:8: title: the text holds U+0000 (a control character); remove the escape"]),
+        ('title: "\\e[2J"', ["f.yaml:1:8: title: the text holds U+001B (a control character)"]),
+        ('title: x\n"\\ud800": 1', ["f.yaml:2:1: a key holds U+D800 (half a character, a lone surrogate)"]),
         ("[a]: 1\ntitle: x", ["f.yaml:1:1: a key must be a word, not a list or a mapping"]),
         ("title: x\nnamed: &n\n  a: *n", ["f.yaml:2:8: named.a: the alias contains itself; write the value out"]),
         ("title: x\nnamed:\n  <<: 5", ["f.yaml:3:7: named: `<<` takes a mapping"]),
@@ -195,7 +198,7 @@ def test_a_file_that_is_too_large_is_refused_before_it_is_parsed(tmp_path: Path)
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("title: " + "x" * 10_001, "f.yaml:1:8: title: has 10001 characters; at most 10000 are read"),
+        ("title: " + "x" * 10_001, "f.yaml:1:8: title: the text has 10001 characters; at most 10000 are read"),
         ("title: x\n? " + "k" * 10_001 + "\n: 1", "f.yaml:2:3: a key has 10001 characters; at most 10000 are read"),
     ],
 )

@@ -184,7 +184,10 @@ CHANNEL = {"name": "Z1", "column": "Z1"}
         ("service.retry_min_s", 60.0, "service.retry_min_s", "not be longer than retry_max_s"),
         ("service.socket", "/run/" + "x" * 110, "service.socket", "at most 107 bytes"),
         ("service.http_port", 70000, "service.http_port", "at most 65535"),
-        ("machine", "mill\0 7", "machine", "text on one line"),
+        ("machine", "mill\t 7", "machine", "text on one line"),
+        ("cnc.poll_period_s", 1e-320, "cnc.poll_period_s", "at least 0.001"),
+        ("cnc.poll_period_s", 1e308, "cnc.poll_period_s", "at most 31536000"),
+        ("history.keep_writes_days", 1e308, "history.keep_writes_days", "at most 36500"),
         ("machine", "m" * 201, "machine", "at most 200 characters"),
     ],
 )
