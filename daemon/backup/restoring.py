@@ -263,7 +263,7 @@ def _put_in_place(
                 path.symlink_to(Path("releases") / f"{manifest.active_release:04d}" / "model.json")
             else:
                 _place(folder / name, path)
-    except OSError:
+    except BaseException:  # also when a person breaks it off: half a store must not stand in the place of a whole one
         _undo(placed, kept)
         raise
     return Restored(manifest=manifest, placed=tuple(placed), kept=tuple(kept.values()))

@@ -285,19 +285,20 @@ def test_what_is_restored_belongs_to_whoever_owns_the_folder(installation):
     assert owners == {"history.sqlite": OTHER, "history.sqlite.lock": OTHER}
 
 
-def test_half_a_restoration_is_undone(installation, monkeypatch):
+@pytest.mark.parametrize("broken_off", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_half_a_restoration_is_undone(installation, monkeypatch, broken_off):
     path = installation.backup()
     installation.config_path.write_text("changed: true\n", encoding="utf-8")
     before = {item: item.read_bytes() for item in installation.folder.rglob("*") if item.is_file()}
     copy, copied = shutil.copyfileobj, []
 
-    def until_the_disk_is_full(source: BinaryIO, destination: BinaryIO) -> None:
+    def until_it_is_broken_off(source: BinaryIO, destination: BinaryIO) -> None:
         if copied:
-            raise OSError(28, "No space left on device")
+            raise broken_off
         copied.append(copy(source, destination))
 
-    monkeypatch.setattr("daemon.backup.restoring.shutil.copyfileobj", until_the_disk_is_full)
-    with pytest.raises(BackupError, match="No space left"):
+    monkeypatch.setattr("daemon.backup.restoring.shutil.copyfileobj", until_it_is_broken_off)
+    with pytest.raises(BackupError if isinstance(broken_off, OSError) else KeyboardInterrupt):
         restore(
             path, installation.config_path, person="anna", replace=True, given=Places.of(installation.configuration)
         )
