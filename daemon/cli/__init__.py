@@ -5,7 +5,9 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import difflib
+import errno
 import gc
+import io
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -235,6 +237,12 @@ class LazyGroup(click.Group):
         """Read the command line, old names of options as the new ones, with a warning."""
         return super().parse_args(ctx, [_by_new_name(word) for word in args])
 
+    def main(self, *args: Any, **extra: Any) -> Any:
+        """Run the command line; what a terminal's encoding does not have never ends it in the middle."""
+        if isinstance(sys.stdout, io.TextIOWrapper):
+            sys.stdout.reconfigure(errors="replace" if sys.stdout.isatty() else "backslashreplace")
+        return super().main(*args, **extra)
+
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; input that is refused ends it with the sentence that says why."""
         try:
@@ -242,6 +250,12 @@ class LazyGroup(click.Group):
         except RefusedInputError as error:
             click.echo(str(error), err=True)
             ctx.exit(2)
+        except OSError as error:
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+                raise
+            click.echo(f"{error.filename or 'what was printed'} ends in the middle: {error.strerror}", err=True)
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what waits to be written is lost anyway
+            ctx.exit(1)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands by their summaries, without importing them."""

@@ -53,7 +53,7 @@ def print_rows(title: str, headings: tuple[str, ...], rows: list[tuple[Cell, ...
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(*headings, title=title)
+    table = Table(*headings, title=title, title_justify="left")
     texts = [[Text(printable(cell)) if isinstance(cell, str) else Text(*cell) for cell in row] for row in rows]
     for row in texts:
         table.add_row(*row)
