@@ -200,10 +200,8 @@ def _unfit(text: str) -> str:
     """Return why a key or value is no text that a path, a wire or a terminal takes, '' when it is."""
     if len(text) > MAX_TEXT_LENGTH:
         return f"has {len(text)} characters; at most {MAX_TEXT_LENGTH} are read"
-    if found := _NO_CHARACTER.search(text):
-        what = "half a character, a lone surrogate" if found[0] >= "\ud800" else "a control character"
-        return f"holds U+{ord(found[0]):04X} ({what}); remove the escape"
-    return ""
+    found = _NO_CHARACTER.search(text)
+    return f"holds U+{ord(found[0]):04X}, which is no character of a text; remove the escape" if found else ""
 
 
 def _refusal(text: str) -> str | None:

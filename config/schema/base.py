@@ -62,7 +62,6 @@ FORMS = {
 """What the patterns ask for, in words."""
 
 Seconds = Annotated[float, Field(ge=0.001, le=31_536_000)]
-"""From a millisecond to a year."""
 Days = Annotated[float, Field(gt=0, le=36_500)]
 MacroNumber = Annotated[int, Field(ge=1, le=99999)]
 Host = Annotated[str, Field(pattern=HOST_PATTERN, max_length=253)]

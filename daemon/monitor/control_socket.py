@@ -138,11 +138,12 @@ class ControlSocket:
     async def _answer(self, line: bytes, person: str) -> dict[str, Any]:
         try:
             request = all_printable(json.loads(line))
+        except (ValueError, RecursionError) as error:
+            return {"ok": False, "error": f"the request is not JSON: {error}"}
+        try:
             if not isinstance(request, dict):
                 raise RequestError("a request is one JSON object")
             return {"ok": True, **await self._handle(request, person)}
-        except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-            return {"ok": False, "error": f"the request is not JSON: {error}"}
         except RequestError as error:
             self._refused((person, str(error)))
             return {"ok": False, "error": str(error)}

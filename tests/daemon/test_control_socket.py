@@ -57,15 +57,15 @@ async def test_refusals_and_garbage_are_answered_in_words(tmp_path):
         client = ControlClient(tmp_path / "s")
         with pytest.raises(RequestError, match="no axis w"):
             client.ask("enable", axes=["w"])
-        client._socket.sendall(b"\xff{not json\n[1]\n" + b"[" * 60_000 + b"\n")
-        answers = [client._stream.readline() for _ in range(3)]
+        client._socket.sendall(b"\xff{not json\n[1]\n" + b"[" * 60_000 + b"\n" + b"9" * 5000 + b"\n")
+        answers = [client._stream.readline() for _ in range(4)]
         client.close()
         return answers
 
-    first, second, deep = await serve(tmp_path / "s", handle, work)
+    first, second, deep, number = await serve(tmp_path / "s", handle, work)
     assert b"not JSON" in first
     assert b"one JSON object" in second
-    assert b"not JSON" in deep
+    assert b"not JSON" in deep and b"not JSON" in number
 
 
 async def test_a_line_without_an_end_closes_the_conversation(tmp_path):
