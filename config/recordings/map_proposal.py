@@ -156,7 +156,8 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
     unread = {name: _unread(name, written[name]) for name in texts if _kind(described[name]) is not None}
     notes += unread.values()
     notes += [
-        f"{name!r} is in {unit}: a displacement (displacement_units: {{{name!r}: {unit}}}), or where an axis stands?"
+        f"the unit of {name!r} is {unit}: a displacement (displacement_units: {{{name!r}: {unit}}}), or where an axis "
+        "stands?"
         for name in numbers
         if name not in taken and kinds[name] is None and (unit := _coarse(described[name])) is not None
     ]

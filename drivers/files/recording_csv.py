@@ -58,6 +58,8 @@ FEWEST_COLUMNS = 3
 MOST_BEFORE_HEADER = 100
 """In so many lines after a first one that is no header, one is looked for."""
 HOUR_S = 3600.0
+LONGEST_STEP_S = 27 * 24 * HOUR_S
+"""A run goes on for hours; a day that is read as a month is farther off [s]."""
 FIRST_ROW = 2
 """Line of the row after the header, where nothing stands before it."""
 
@@ -375,6 +377,10 @@ def _rows(place: _Place, lines: Iterator[str], form: _Form) -> tuple[FloatArray,
             text = fields[columns.time].strip()
             sentence = _disorder(times, local=form.recording_map.local_times)
             raise place.refuse(f"{text!r} does not come after the row before; {sentence}", header[columns.time])
+        if len(times) > 1 and times[-1] - times[-2] > LONGEST_STEP_S and "%m" in (form.recording_map.time_format or ""):
+            sentence = "comes a month after the row before: are %d and %m exchanged in time_format? Else split the file"
+            of_day = columns.time if columns.date is None else columns.date
+            raise place.refuse(f"{fields[of_day].strip()!r} {sentence}", header[of_day])
         table.append(_numbers(place, header, fields, wanted, decimal, missing))
     if not times:
         raise place.refuse("holds no rows after its header")

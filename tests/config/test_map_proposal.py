@@ -189,7 +189,7 @@ def test_inches_are_said_and_a_place_in_inches_asks() -> None:
     assert (found.keys["displacements"], found.keys["displacement_units"]) == (["dz (in)"], {"dz (in)": "in"})
     assert found.keys["displacement_names"] == {"dz (in)": "dz"} and found.left_out == ("Z (in)",)
     assert found.notes == (
-        "'Z (in)' is in in: a displacement (displacement_units: {'Z (in)': in}), or where an axis stands?",
+        "the unit of 'Z (in)' is in: a displacement (displacement_units: {'Z (in)': in}), or where an axis stands?",
     )
 
 

@@ -344,6 +344,15 @@ def test_a_speed_in_another_unit_than_it_is_read_in_is_refused(
         assert read_recording(written(tmp_path, content), RecordingMap.model_validate(keys)).speed_rpm is not None
 
 
+def test_a_day_that_is_read_as_a_month_is_told(tmp_path: Path) -> None:
+    content = "t,T1,z\n11/03/2025 23:59,20,1\n11/04/2025 00:00,20,1\n"
+    keys = {"time": "t", "temperatures": ["T1"], "displacements": ["z"]}
+    said = refusal(tmp_path, content, RecordingMap.model_validate(keys | {"time_format": "%d/%m/%Y %H:%M"}))
+    assert said.startswith("day.csv:3: column t: '11/04/2025 00:00' comes a month after the row before: are %d and %m")
+    right = read_recording(tmp_path / "day.csv", RecordingMap.model_validate(keys | {"time_format": "%m/%d/%Y %H:%M"}))
+    assert right.time_s.tolist() == [0.0, 60.0]
+
+
 def test_a_second_row_of_names_is_none_of_units(tmp_path: Path) -> None:
     content = "Time,Spindle,Temperature,,Displacement\nmin,rpm,T1,T2,Z\n0,0,20,21,1\n1,0,20,21,2\n"
     keys = {"time": "Time", "time_unit": "min", "temperatures": ["Temperature"], "displacements": ["Displacement"]}
