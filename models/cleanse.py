@@ -5,7 +5,7 @@ noise, after a gap too, count only after further readings agree with them. A rej
 latch for ever either: it counts once enough readings agree.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +39,23 @@ class CleansingRules:
     max_degc: float = 100.0
     stale_after_s: float = 60.0
     """A held value that is older is missing [s]; a sensor that comes back after that begins anew."""
+
+
+WARMS_K_PER_MIN, GOES_ON_K_PER_MIN = 2.0, 0.5
+"""So fast a sensor may warm within one cycle that lasts long, and over several that agree [K/min]."""
+HELD_PERIODS = 2.5
+"""A sensor whose value is older than so many cycles of its line has missed two."""
+
+
+def rules_of_period(rules: CleansingRules, cycle_period_s: float) -> CleansingRules:
+    """Return the rules of an input that is read once in a period [s]: where that is long, a cycle sees more change."""
+    period_min, most_degc = cycle_period_s / 60.0, rules.max_gap_change_degc
+    return replace(
+        rules,
+        max_change_degc=max(rules.max_change_degc, min(WARMS_K_PER_MIN * period_min, most_degc)),
+        agree_within_degc=max(rules.agree_within_degc, min(GOES_ON_K_PER_MIN * period_min, most_degc)),
+        stale_after_s=max(rules.stale_after_s, HELD_PERIODS * cycle_period_s),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -175,7 +175,7 @@ class OutputConfig(Section):
 
     tick_s: Seconds = Field(1.0, description="the control tick: renews valid_until, feeds the watchdog")
     validity_s: Seconds = Field(30.0, description="how far valid_until lies ahead of the CNC's clock")
-    stale_after_s: Seconds = Field(60.0, description="an older estimate freezes the output (HOLD)")
+    stale_after_s: Seconds = Field(60.0, description="an estimate older than this and 2.5 cycle periods: HOLD")
     alarm_after_s: Seconds = Field(300.0, description="frozen for longer than this raises the alarm")
     hold_limit_s: Seconds = Field(600.0, description="frozen for longer than this retreats (RETREAT)")
     min_confidence: float = Field(

@@ -11,6 +11,7 @@ from config.schema import Configuration
 from config.schema.guard import PROGRAM_LABELS
 from daemon.cnc.macro_block import ECHO_SLACK_UM
 from daemon.cnc.own_offset import offset_macros
+from models.cleanse import HELD_PERIODS
 from models.control.axis_map import AxisSource, ToolTerm
 from models.control.reference_records import ReferenceRules
 from models.control.state import OutputLimits
@@ -59,7 +60,7 @@ def output_limits(configuration: Configuration, factors: Mapping[str, float] | N
         slew_um_per_min=certain * [axis.slew_um_per_min for axis in axes.values()],
         step_um=share * [axis.step_um for axis in axes.values()],
         deadband_um=np.array([axis.deadband_um for axis in axes.values()]),
-        stale_after_s=output.stale_after_s,
+        stale_after_s=max(output.stale_after_s, HELD_PERIODS * configuration.temperatures.shortest_period_s),
         hold_limit_s=output.hold_limit_s,
         min_confidence=output.min_confidence,
         full_confidence=output.full_confidence,

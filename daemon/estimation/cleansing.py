@@ -12,6 +12,7 @@ from daemon.estimation.memory_watch import MemoryWatch, UnitWatch
 from drivers.clock import Clock
 from models.align import RollingMean
 from models.cleanse import (
+    HELD_PERIODS,
     CleansingResult,
     CleansingRules,
     CleansingState,
@@ -19,6 +20,7 @@ from models.cleanse import (
     age_s,
     cleanse_cycle,
     initial_state,
+    rules_of_period,
 )
 from models.quality import GOOD, Quality, Reason
 from models.records import CodeArray, FloatArray, MachineTemperatures, Reference, TemperatureCycle
@@ -45,8 +47,6 @@ NAMED = 3
 """So many sensors are named in one sentence."""
 LATEST = 3
 """So many references before the newest may be asked for again: those between were refused."""
-HELD_PERIODS = 2.5
-"""A sensor whose value is older than so many cycles of its line has missed two."""
 
 
 class FastInputs:
@@ -106,8 +106,11 @@ class Cleansing:
         for indices, period_s in self._lines.values():
             self._period_s[indices] = period_s
         self._rules = CleansingRules(**temperatures.cleansing.model_dump())
+        self._rules_of = {each.name: rules_of_period(self._rules, each.cycle_period_s) for each in temperatures.inputs}
+        self._stale_s = np.maximum(self._rules.stale_after_s, HELD_PERIODS * self._period_s)
         self._state: CleansingState = initial_state(len(position))
         self._mean = RollingMean(configuration.compensation.reference.mean_s)
+        self.due_s = max(self._mean.window_s, HELD_PERIODS * temperatures.shortest_period_s)
         self.least = configuration.compensation.output.min_confidence
         self._full = configuration.compensation.output.full_confidence
         """With less confidence the output holds."""
@@ -131,8 +134,8 @@ class Cleansing:
 
     @property
     def stale_after_s(self) -> float:
-        """A sensor without a value for longer has none [s]."""
-        return self._rules.stale_after_s
+        """A sensor without a value for longer has none [s], of the input that is read most rarely."""
+        return float(self._stale_s.max())
 
     @property
     def window_s(self) -> float:
@@ -180,7 +183,7 @@ class Cleansing:
         if why := self.stands(now_s):
             return why
         if usable == 0:
-            return f"no temperature has arrived in the last {self.window_s:.0f} s"
+            return f"no temperature has arrived in the last {self.due_s:.0f} s"
         silent_s = np.where(np.isfinite(self.mean_degc()), now_s - self._usable_at_s, 0.0)
         silent_s[silent_s <= np.maximum(self.window_s / 2, HELD_PERIODS * self._period_s)] = 0.0
         if silent_s.any():
@@ -188,7 +191,7 @@ class Cleansing:
             return (
                 f"sensor {self._sensor_ids[longest]} has been silent for {silent_s[longest]:.0f} s, and its mean holds "
                 "what it had before: position again when it is back, or is left out, "
-                f"{self._rules.stale_after_s:.0f} s after its last value"
+                f"{self._stale_s[longest]:.0f} s after its last value"
             )
         mixed = np.flatnonzero(now_s - self._jumped_at_s <= self.window_s)[:NAMED]
         if not len(mixed):
@@ -253,14 +256,15 @@ class Cleansing:
             told = quality == Quality.GOOD
             quality = np.where(told, np.uint8(Quality.MISSING), quality)
             reason = np.where(told, np.uint8(Reason.OTHER_UNIT), reason)
-        result = cleanse_cycle(self._rules, self._state, indices, cycle.degc, quality, reason, now_s, period_s)
+        rules = self._rules_of[cycle.line]
+        result = cleanse_cycle(rules, self._state, indices, cycle.degc, quality, reason, now_s, period_s)
         before_degc, self._state = self._state.accepted_degc[indices], result.state
         self._measured[indices] = cycle.degc
         degc = self.latest.degc.copy() if self.latest is not None else np.full(len(self._measured), np.nan)
         degc[indices] = result.degc
         self._quality[indices], self._reason[indices] = result.quality, result.reason
         ages_s = age_s(self._state, now_s)
-        stale = ages_s > self._rules.stale_after_s
+        stale = ages_s > self._stale_s
         if stale.any():
             degc[stale] = np.nan
             unsaid = stale & (self._quality != Quality.MISSING)
@@ -270,7 +274,7 @@ class Cleansing:
         returned = result.returned & self._after_silence(indices, usable, now_s)
         good = result.quality == GOOD
         self.units.counted(indices[good], result.degc[good])
-        most = {"degc": result.degc, "most_degc": self._rules.max_change_degc, "step_k": self._step_k[indices]}
+        most = {"degc": result.degc, "most_degc": rules.max_change_degc, "step_k": self._step_k[indices]}
         far, before_degc = self._fast.jumps(cycle.line, period_s, now_s, result, before_degc, partial(_at_once, **most))
         jumped = (result.new_level | (far & heard)) & ~returned & np.isfinite(before_degc)
         self._jumped_at_s[indices[far]] = now_s
@@ -317,7 +321,7 @@ class Cleansing:
 
     def _after_silence(self, indices: IndexArray, usable: npt.NDArray[np.bool_], now_s: float) -> npt.NDArray[np.bool_]:
         """Return which sensors of a line have had no value for too long since one last counted."""
-        self._silent[indices] |= usable & (now_s - self._usable_at_s[indices] > self._rules.stale_after_s)
+        self._silent[indices] |= usable & (now_s - self._usable_at_s[indices] > self._stale_s[indices])
         self._usable_at_s[indices[usable]] = now_s
         return self._silent[indices].copy()
 

@@ -334,7 +334,7 @@ class ThermalTask:
     def _set_reference(self, request: ReferenceRequest) -> None:
         now = self._clock.now()
         latest_s = -np.inf if self.latest is None else self.latest.trace.first_byte.monotonic_s
-        degc = self._cleansing.mean_degc() if now.monotonic_s - latest_s <= self._cleansing.window_s else np.empty(0)
+        degc = self._cleansing.mean_degc() if now.monotonic_s - latest_s <= self._cleansing.due_s else np.empty(0)
         usable = int(np.isfinite(degc).sum())
         if why := self._cleansing.refusal(usable, now.monotonic_s):
             refused = f"reference of {request.source} refused: {why}"

@@ -75,12 +75,6 @@ CHANNEL = {"name": "Z1", "column": "Z1"}
         ("temperatures.sources", [{**BOX, "modbus": None}], "temperatures.sources[0].modbus", "required and missing"),
         (
             "temperatures.sources",
-            [{**BOX, "cycle_period_s": 61.0}],
-            "temperatures.cleansing.stale_after_s",
-            "source box",
-        ),
-        (
-            "temperatures.sources",
             [{**BOX, "modbus": {"serial_port": "/dev/ttyUSB9", "sensors": BOX_SENSORS}}] * 2,
             "temperatures.sources[1].modbus.sensors[0].id",
             "listed twice",
@@ -102,7 +96,6 @@ CHANNEL = {"name": "Z1", "column": "Z1"}
         ("temperatures.sensors.1", {"id": 1, **SENSOR}, "temperatures.sensors[1].id", "sensor 1 is listed twice"),
         ("temperatures.sensors.0.label", "a b", "temperatures.sensors[0].label", "letters, digits and underscores"),
         ("temperatures.cleansing.min_degc", 200.0, "temperatures.cleansing.min_degc", "below max_degc"),
-        ("temperatures.cleansing.stale_after_s", 5.0, "temperatures.cleansing.stale_after_s", "cycle period of line"),
         ("displacements", {"file": FILE, "channels": [CHANNEL, CHANNEL]}, "displacements.channels[1].name", "same"),
         (
             "displacements",
