@@ -115,7 +115,7 @@ async def _attempt(subject: str, work: Callable[[], Awaitable[str]]) -> Finding:
     try:
         return Finding(subject=subject, passed=True, detail=await work())
     except DriverError as error:
-        return Finding(subject=subject, passed=False, detail=str(error))
+        return Finding(subject=subject, passed=False, detail=str(error).removeprefix(f"{subject}: "))
     except TimeoutError:
         return Finding(subject=subject, passed=False, detail="nothing arrived in time")
 

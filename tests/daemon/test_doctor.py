@@ -6,10 +6,13 @@ import sys
 
 import pytest
 
+from config.loader import load_configuration
+from config.machines import shipped_file
 from config.sample import sample_configuration
 from daemon.checkup.computer import OUR_PACKAGES, examine
-from daemon.checkup.machine import Finding
+from daemon.checkup.machine import Finding, preflight
 from daemon.cli.common import show_finding
+from drivers.clock import SystemClock
 
 
 def test_this_environment_is_healthy():
@@ -62,3 +65,12 @@ def test_what_a_control_says_of_itself_does_not_act_on_the_terminal(capsys: pyte
     said = capsys.readouterr().out
     assert "ACME\\x1b]0;owned\\x07\\x1b[2J 30i" in said
     assert "\x07" not in said and "\x1b[2J" not in said
+
+
+async def test_a_line_whose_port_is_missing_is_named_once() -> None:
+    configuration = load_configuration(shipped_file("cfrpmt.yaml"))
+    async for finding in preflight(configuration, SystemClock(), devices=True):
+        if finding.subject.startswith("line "):
+            assert finding.detail.startswith("port ") and not finding.passed
+            return
+    pytest.fail("no line was tried")

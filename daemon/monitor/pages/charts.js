@@ -176,6 +176,7 @@ export class Chart {
     const base = parseFloat(getComputedStyle(document.documentElement).fontSize) * devicePixelRatio;
     const { ctx, bbox } = plot;
     ctx.save();
+    let written = -Infinity;
     for (const mark of this.options.marks ?? []) {
       const x = plot.valToPos(mark.x, "x", true);
       if (x < bbox.left || x > bbox.left + bbox.width) continue;
@@ -199,6 +200,9 @@ export class Chart {
       const right = ctx.measureText(words).width > room; // the words stand on the other side, then
       ctx.textAlign = right ? "right" : "left";
       const y = mark.y === undefined ? bbox.top + base * 0.8 : plot.valToPos(mark.y, "y", true) + base * (mark.below ? 1.2 : -0.6);
+      const wide = ctx.measureText(words).width + base * 0.4, begins = right ? x - wide : x;
+      if (mark.y === undefined && begins < written) continue; // one of the lines beside it has its words there
+      if (mark.y === undefined) written = begins + wide;
       ctx.fillText(words, x + (right ? -1 : 1) * base * 0.4, Math.max(y, bbox.top + base * 0.8));
     }
     ctx.restore();

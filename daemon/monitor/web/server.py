@@ -31,7 +31,7 @@ MOST_CONNECTIONS = 256
 SHARE_OF_DESCRIPTORS = 4
 HEADER_LINES = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
 LONGEST_HEAD = 16384
-"""A longer head of a request is refused [byte]."""
+"""A head of a request that has not ended by then is refused [byte]."""
 
 
 class _Connection(H11Protocol):
