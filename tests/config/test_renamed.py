@@ -68,7 +68,7 @@ def test_what_is_refused_under_an_old_name_is_refused_at_its_place(tmp_path: Pat
         load_configuration(path)
     (problem,) = refused.value.problems
     assert (problem.line, problem.column) == (line_of(path, "look_ahead_s"), 19)
-    assert (problem.key, problem.sentence) == ("cnc.guard.max_validity_s", "this must be above 0, not -1.0")
+    assert (problem.key, problem.sentence) == ("cnc.guard.max_validity_s", "this must be at least 0.001, not -1.0")
 
 
 def test_a_whole_section_moves_with_the_places_below_it_and_through_aliases() -> None:

@@ -118,7 +118,8 @@ def test_bad_files_end_with_file_line_and_column(tmp_path: Path) -> None:
     result = invoke(bad, "-o", tmp_path / "m.json")
     assert (result.exit_code, result.stderr.splitlines()[0]) == (
         2,
-        f"{bad}:3: column T1: 'x' is not a number; leave the field empty where a value is missing",
+        f"{bad}:3: column T1: 'x' is not a number; where it stands for a missing value, say missing: ['x'] in the map, "
+        "or leave the field empty",
     )
     result = invoke(day(tmp_path, 1), "-o", tmp_path / "missing" / "m.json")
     assert (result.exit_code, "there is no folder" in result.stderr) == (2, True)

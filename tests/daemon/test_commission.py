@@ -7,13 +7,12 @@ from commissioning_bench import Bench, Person, serving
 from config.records.commissioning import commissioning_inhibit
 from config.records.commissioning_file import save_commissioning
 from daemon.checkup.machine import preflight
-from drivers.sim.wires.cnc_face import SIMULATED
 from models.records import WriteOutcome
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module", params=[*SIMULATED, "sinumerik"])
+@pytest_asyncio.fixture(scope="module", loop_scope="module", params=["opcua", "focas", "haas", "sinumerik"])
 async def served(tmp_path_factory, request):
     async with serving(tmp_path_factory.mktemp("commission"), request.param) as bench:
         yield bench

@@ -15,7 +15,6 @@ from daemon.commissioning.initialising import ForeignWriterError
 from daemon.commissioning.session import Sources
 from drivers.contract import LinkError
 from drivers.sim.nc.wiring import Wiring
-from drivers.sim.wires.cnc_face import SIMULATED
 from models.records import WriteOutcome
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -27,7 +26,7 @@ DIAMETER = Wiring(um_per_um={"x": {"x": 0.5}})
 SKEW = Wiring(um_per_um={"z": {"z": 1.0, "x": 0.5}})
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module", params=[*SIMULATED, "sinumerik"])
+@pytest_asyncio.fixture(scope="module", loop_scope="module", params=["opcua", "focas", "haas", "sinumerik"])
 async def served(tmp_path_factory, request):
     async with serving(tmp_path_factory.mktemp("attacks"), request.param) as bench:
         yield bench

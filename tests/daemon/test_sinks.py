@@ -323,7 +323,7 @@ async def test_a_sink_whose_server_answers_slowly_is_not_taken_for_a_process_tha
     monkeypatch.setattr("daemon.sinks.running.ALIVE_PERIOD_S", 0.1)
     monkeypatch.setattr("daemon.sinks.watching.SILENT_AFTER_S", 1.0)
     with socket.create_server(("127.0.0.1", 0)) as server:
-        mqtt = {"host": "127.0.0.1", "port": server.getsockname()[1], "tls": False, "timeout_s": 4.0}
+        mqtt = {"host": "127.0.0.1", "port": server.getsockname()[1], "tls": False, "timeout_s": 10.0}
         sink = SinkConfig.model_validate({"name": "plant", "driver": "mqtt", "mqtt": mqtt})
         configuration = machine_with(tmp_path / "h.sqlite").model_copy(update={"sinks": [sink]})
         writer_of(configuration.history.path, 0.0).close()

@@ -84,7 +84,8 @@ class Mill:
     ) -> None:
         """Write a block as the daemon does."""
         self.sequence += 1.0
-        until_s = round((await self.cnc.read([])).clock_s + valid_s, 1)
+        while (until_s := round((await self.cnc.read([])).clock_s + valid_s, 1)) <= 0.0:  # its clock has just begun
+            await asyncio.sleep(0.1)
         macros = CONFIG.macros
         held: dict[int, float | None] = {macros.values[axis]: um.get(axis, 0.0) / 1000.0 for axis in AXES}
         held |= {macros.valid_until: until_s, macros.enable: enable, macros.sequence_b: self.sequence}
