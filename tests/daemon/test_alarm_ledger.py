@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
 from daemon.sinks.alarms.ledger import MOST_ENTRIES, Condition, Ledger, Limits
-from daemon.sinks.alarms.message import Message, in_words
+from daemon.sinks.alarms.message import in_words
 from daemon.sinks.alarms.output_track import SETTLED_S, OutputTrack
 
 LIMITS = Limits(interval_s=300.0, remind_s=86_400.0)
@@ -120,39 +120,12 @@ def test_however_alarms_come_and_go_messages_are_bounded_and_each_end_is_told(st
     assert not any(open_.values()) and ledger.alarms == (), "every alarm of which people know has been ended for them"
 
 
-def test_a_message_that_comes_twice_has_the_same_number() -> None:
-    ledger = Ledger().seen([condition()], EVERY, 0.0)
-    first = Message(machine="m", time_utc_s=0.0, entries=ledger.due(LIMITS, 0.0))
-    again = Message(machine="m", time_utc_s=60.0, entries=ledger.due(LIMITS, 60.0))
-    assert first.number == again.number and first.document()["alarms"] == again.document()["alarms"]
-    other = Message(machine="n", time_utc_s=0.0, entries=first.entries)
-    assert other.number != first.number
-    ended = ledger.told(first.entries, 0.0).seen([], EVERY, 400.0).due(LIMITS, 400.0)
-    assert Message(machine="m", time_utc_s=0.0, entries=ended).number != first.number
-
-
 def follow(*events: tuple[float, str, str]) -> tuple[OutputTrack, list[tuple[str, float]]]:
     track, over = OutputTrack(), []
     for utc_s, kind, text in events:
         track, ended = track.after(utc_s, kind, text)
         over += [(stay.state, utc_s - stay.since_utc_s) for stay in ended]
     return track, over
-
-
-def test_the_events_tell_where_the_output_is() -> None:
-    track, over = follow(
-        (0.0, "start", "OFF: nothing is switched on"),
-        (100.0, "state", "OFF -> ARMED: switched on"),
-        (200.0, "fault", "read-back differs: #501"),
-        (200.0, "state", "ARMED -> FAULT: read-back differs: #501"),
-        (230.0, "fault", "a write was refused"),
-        (240.0, "note", "FAULT -> OFF: said by somebody"),
-    )
-    assert track.now is not None and (track.now.state, track.now.since_utc_s) == ("FAULT", 200.0)
-    assert track.now.reason == "read-back differs: #501; a write was refused" and track.now.reasons == 2
-    track, (ended,) = track.after(920.0, "state", "FAULT -> HOLD: acknowledged")
-    assert 920.0 - ended.since_utc_s == 720.0 and ended.reasons == 2
-    assert over == [("OFF", 100.0), ("ARMED", 100.0)]
 
 
 def test_a_restart_in_fault_is_the_same_fault() -> None:

@@ -2,16 +2,13 @@
 
 import asyncio
 import contextlib
-import os
 import shutil
-import sqlite3
 import threading
 import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import yaml
 from alarm_servers import Posts, web_server
@@ -22,21 +19,15 @@ from memory_cnc import MemoryNc
 from config.loader import load_configuration
 from config.sample import sample_configuration
 from config.schema import Configuration
-from config.schema.compensation import OutputConfig
 from config.schema.sinks import AlarmsConfig, SinkConfig
 from daemon.app import Daemon
-from daemon.cnc.limits import axis_sources
-from daemon.compensation.alarms import GuardWatch, alarm_of
-from daemon.compensation.skill_monitor import SkillWatch
 from daemon.monitor.control_socket import ControlSocket
 from daemon.sinks.alarms import sink as alarm_sink
-from daemon.sinks.alarms.observing import HARM, HELD, Lasting, certificates, of_computer, of_status
-from daemon.sinks.alarms.sink import AlarmSink, state_path, watched
+from daemon.sinks.alarms.observing import HELD, Lasting, certificates, of_computer, of_status
+from daemon.sinks.alarms.sink import AlarmSink
 from daemon.sinks.running import SinkRunner, make_messenger, sink_status
 from daemon.snapshots import LinkSnapshot
-from models.control.compensation import initial_memory
 from models.control.state import OperatorRequest
-from models.records import OutputState
 
 
 class Hall:
@@ -135,16 +126,6 @@ async def test_a_fault_that_came_and_went_while_the_sender_was_away_is_told(tmp_
         assert said.startswith("FAULT ended (3 times), was ") and said.endswith("a write was refused")
 
 
-async def test_faults_of_before_the_sender_are_not_told_and_one_that_stands_is(tmp_path: Path) -> None:
-    async with hall(tmp_path) as it:
-        await it.rig.turn()
-        await fault(it.rig, "long ago")
-        await acknowledged(it.rig)
-        await fault(it.rig, "still so")
-        (said,) = await it.look()
-        assert said.endswith("still so")
-
-
 async def test_a_long_hold_and_a_silent_daemon(tmp_path: Path) -> None:
     async with hall(tmp_path, hold_longer_than_s=100.0, daemon_longer_than_s=50.0) as it:
         await it.rig.turn()
@@ -189,52 +170,6 @@ async def test_a_server_that_refuses_loses_nothing_and_the_runner_says_which_key
         assert len(it.posts.asked) == 2
 
 
-async def test_a_disk_that_takes_nothing_more_keeps_no_alarm_back(tmp_path: Path) -> None:
-    """What cannot be kept is told all the same: once while the sender lives."""
-    async with hall(tmp_path) as it:
-        await it.rig.turn()
-        await it.look()
-        state = state_path(it.configuration.history.path, "chat")
-        in_the_way = [state.with_name(f".{name}.{os.getpid()}.tmp") for name in (state.name, "chat.json")]
-        for each in in_the_way:
-            each.mkdir()
-        await fault(it.rig, "why")
-        await it.rig.history.flushed()
-        stop, waits = threading.Event(), []
-
-        def wait(_duration_s: float) -> None:
-            waits.append(it.runner.cursor.problem)
-            if len(waits) == 3:
-                assert len(it.posts.taken) == 1
-                for each in in_the_way:
-                    each.rmdir()
-            if len(waits) == 5:
-                stop.set()
-
-        it.runner = it.runner_until(stop, wait)
-        await asyncio.to_thread(it.runner.run)
-        assert [post["alarms"][0]["sentence"].endswith("why") for post in it.posts.taken] == [True]
-        assert all(f"{state} cannot be written" in problem for problem in waits[:3]) and waits[-1] == ""
-        assert await it.look() == []
-
-
-async def test_a_fault_that_the_store_cannot_record_is_told_and_its_end_too(tmp_path: Path) -> None:
-    async with hall(tmp_path) as it:
-        await it.rig.turn()
-        await it.look()
-        with contextlib.closing(sqlite3.connect(it.configuration.history.path, isolation_level=None)) as other:
-            other.execute("BEGIN IMMEDIATE")
-            await fault(it.rig, "why")
-            assert await look_at_once(it) == []
-            (said,) = await look_at_once(it, 31.0)
-            assert said.startswith("FAULT, since") and said.endswith("why")
-            other.execute("ROLLBACK")
-        assert await it.look(3600.0) == []
-        await acknowledged(it.rig)
-        (said,) = await it.look()
-        assert said.startswith("FAULT ended") and await it.look(1e4) == []
-
-
 async def test_a_store_that_cannot_be_read_keeps_no_alarm_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As one whose disk is gone: the daemon still says how the machine is."""
     monkeypatch.setattr(alarm_sink, "LOOK_S", 0.0)
@@ -264,34 +199,6 @@ async def test_a_store_that_cannot_be_read_keeps_no_alarm_back(tmp_path: Path, m
         away.rename(store)
         await it.look()
         assert it.runner.cursor.problem == ""
-
-
-async def look_at_once(it: Hall, after_s: float = 0.0) -> list[str]:
-    it.away_s += after_s
-    return await look_without_daemon(it)
-
-
-async def test_what_the_server_took_without_an_answer_comes_again_with_the_same_number(tmp_path: Path) -> None:
-    async with hall(tmp_path) as it:
-        await it.rig.turn()
-        await it.look()
-        await fault(it.rig, "why")
-        before = watched(state_path(it.configuration.history.path, "chat"))
-        await it.look()
-        state_path(it.configuration.history.path, "chat").write_bytes(alarm_sink.FILE.dump_json(before))
-        await it.look()
-        first, again = it.posts.taken
-        assert first["id"] == again["id"] and first["alarms"] == again["alarms"]
-
-
-@pytest.mark.parametrize("content", [b"", b"\x00", b"[]", b'{"row": "x"}', b'{"ledger": {"alarms": [1]}}'])
-async def test_a_damaged_file_begins_anew(tmp_path: Path, content: bytes) -> None:
-    async with hall(tmp_path) as it:
-        await it.rig.turn()
-        await fault(it.rig, "why")
-        assert len(await it.look()) == 1
-        state_path(it.configuration.history.path, "chat").write_bytes(content)
-        assert len(await it.look()) == 1 and await it.look() == []
 
 
 def test_alarms_hold_no_history_back(tmp_path: Path) -> None:
@@ -360,18 +267,6 @@ async def test_alarms_of_output_model_and_store(tmp_path: Path) -> None:
         status["jobs"] = [{"name": "backup", "problem": "the folder does not answer"}, {"name": "x", "problem": ""}]
         expected = [("output", ""), ("output", "spindle speed"), ("model", "refused"), ("store", ""), ("job", "backup")]
         assert judged(status, it.configuration) == expected
-
-
-def test_a_model_that_stopped_helping_is_known_by_the_words_of_the_output(tmp_path: Path) -> None:
-    configuration = machine(tmp_path)
-    watch = SkillWatch(axis_sources(configuration), configuration)
-    for _ in range(20):
-        watch._take("z", 20.0, -20.0)
-    inhibit = watch.inhibit()
-    assert inhibit is not None and HARM in str(inhibit)
-    memory = replace(initial_memory(now_s=0.0, applied_um=np.zeros(1), wanted=(True,)), state=OutputState.HOLD)
-    held = alarm_of(memory, None, now_s=1e4, guard=GuardWatch(), config=OutputConfig(), inhibit=inhibit)
-    assert held.startswith(HELD)
 
 
 def test_certificates_that_end_soon_are_named_by_their_key(tmp_path: Path) -> None:

@@ -161,22 +161,6 @@ def test_a_model_with_positions_watches_its_sensors_and_not_its_axes(files: tupl
     assert found[5.0][1] == pytest.approx(found[0.0][1], abs=2.0)
 
 
-def test_a_position_is_compared_with_the_sensors_but_cannot_fail(files: tuple[Path, Path]) -> None:
-    recording, columns = files
-    compared = CliRunner().invoke(main, ["thermal", "sensors", str(recording), "--map", str(columns), "--json", "-"])
-    assert "Z_mm" in json.loads(compared.stdout)["order"]
-    arguments = ["thermal", "evaluate", str(recording), "--map", str(columns), "--train-hours", "0-8"]
-    broken = CliRunner().invoke(main, [*arguments, "--test-hours", "8-12", "--fault", "open:Z_mm@9h"])
-    assert broken.exit_code == 2 and "there is no temperature Z_mm; there are t1, t2" in broken.output
-
-
-def test_a_column_is_a_position_or_something_else(files: tuple[Path, Path]) -> None:
-    recording, columns = files
-    columns.write_text(MAP.replace("'*_mm'", "'t1'"), encoding="utf-8")
-    result = CliRunner().invoke(main, ["thermal", "report", str(recording), "--map", str(columns)])
-    assert result.exit_code == 2 and "t1 would be temperature and axis position at once" in result.output
-
-
 def test_the_figures_of_a_slope_along_an_axis_are_in_um_per_m(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     ExpandingAxis(11, 1.0).write(tmp_path / "day.csv")

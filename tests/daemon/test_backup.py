@@ -2,7 +2,6 @@
 
 import io
 import json
-import os
 import shutil
 import sqlite3
 import tarfile
@@ -13,12 +12,10 @@ from typing import BinaryIO
 import pytest
 import yaml
 from installation import Installation
-from other_user import OTHER, as_root
 
 from config.loader import load_configuration
 from daemon.backup.making import make_backup, remove_old
 from daemon.backup.manifest import BackupError, last_block_beside
-from daemon.backup.names import existing_backups
 from daemon.backup.places import Places
 from daemon.backup.restoring import read_manifest, restore
 from daemon.history import HistoryReader
@@ -117,20 +114,6 @@ def test_a_backup_overwrites_nothing_and_leaves_nothing_half_done(installation):
     assert read_manifest(path).store_schema >= 1
 
 
-def test_only_this_machines_backups_are_removed(installation):
-    folder = installation.folder / "backups"
-    folder.mkdir()
-    mine = [f"toolpoint-mill-7-hall-2026010{day}T000000Z.tar" for day in range(1, 6)]
-    others = ["toolpoint-mill-8-20200101T000000Z.tar", "toolpoint-mill-7-hall-by-hand.tar", "notes.txt"]
-    for name in (*mine, *others):
-        (folder / name).touch()
-    assert [path.name for path in existing_backups(folder, "Mill 7 (hall)")] == mine
-    removed = remove_old(folder, "Mill 7 (hall)", 2, spare=folder / mine[1])
-    assert [path.name for path in removed] == [mine[0], mine[2]]
-    assert [path.name for path in remove_old(folder, "Mill 7 (hall)", 2)] == [mine[1]]
-    assert sorted(path.name for path in folder.iterdir()) == sorted([*mine[3:], *others])
-
-
 def test_backups_of_a_clock_that_was_ahead_make_room_for_those_of_the_right_one(installation):
     folder = installation.folder / "backups"
     folder.mkdir()
@@ -199,17 +182,6 @@ def test_a_backup_that_is_not_whole_is_refused(installation, change, words):
     assert [path for path in target.parents[1].rglob("*") if path.is_file()] == [target]
 
 
-def test_what_is_no_backup_is_refused(tmp_path):
-    path = tmp_path / "x.tar"
-    path.write_bytes(b"nothing of the kind")
-    with pytest.raises(BackupError, match="no whole back-up"):
-        read_manifest(path)
-    with tarfile.open(path, "w") as archive:
-        archive.addfile(tarfile.TarInfo("other"), io.BytesIO())
-    with pytest.raises(BackupError, match="does not begin with manifest"):
-        read_manifest(path)
-
-
 # --- restoring -------------------------------------------------------------------------------
 
 
@@ -272,17 +244,6 @@ def test_a_running_daemon_is_not_restored_over(installation):
     finally:
         writer.close()
     assert state_of(installation.configuration.history.path)["wanted"]["axes"] == {"y": True, "z": True}
-
-
-@as_root
-def test_what_is_restored_belongs_to_whoever_owns_the_folder(installation):
-    path, target = installation.backup(), elsewhere(installation)
-    state = target.parents[1] / "state"
-    state.mkdir(parents=True)
-    os.chown(state, OTHER, OTHER)
-    restore(path, target, person="anna", replace=False)
-    owners = {item.name: item.stat().st_uid for item in state.iterdir()}
-    assert owners == {"history.sqlite": OTHER, "history.sqlite.lock": OTHER}
 
 
 @pytest.mark.parametrize("broken_off", [OSError(28, "No space left on device"), KeyboardInterrupt()])

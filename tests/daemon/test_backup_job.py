@@ -51,16 +51,6 @@ async def test_the_daemon_makes_one_when_the_newest_is_too_old(installation):
     assert job.due(now_s + 3601.0) and job.due(now_s - 5.0) and not job.due(now_s + 3599.0)
 
 
-async def test_a_backup_that_fails_is_said_once(installation):
-    said: list[tuple[str, str]] = []
-    config = BackupConfig(directory=installation.folder / "etc/toolpoint.yaml/no", every_hours=1.0)
-    job = BackupJob(installation.configuration, installation.config_path, config, lambda *words: said.append(words))
-    for _ in range(2):
-        await job.run_if_due()
-    ((kind, text),) = said
-    assert kind == "backup" and "failed" in text
-
-
 class SilentShare(BackupJob):
     """A back-up job whose folder does not answer until it is let go."""
 
@@ -112,18 +102,6 @@ async def test_a_run_that_does_not_end_is_ended_said_and_tried_again(installatio
     monkeypatch.setattr(jobs, "RUN_WITHIN_S", 60.0)
     await job.run_if_due()
     assert job.snapshot().problem == "" and len(existing_backups(config.directory, "Mill 7 (hall)")) == 1
-
-
-async def test_whatever_goes_wrong_with_a_job_is_said(installation):
-    said: list[tuple[str, str]] = []
-    config = BackupConfig(directory=installation.folder / "backups", every_hours=1.0)
-    job = BackupJob(installation.configuration, installation.config_path, config, lambda *words: said.append(words))
-    job.in_words = lambda made: made["what another version calls it"]
-    for _ in range(2):
-        await job.run_if_due()
-        (config.directory / existing_backups(config.directory, "Mill 7 (hall)")[0]).unlink()
-    ((kind, text),) = said
-    assert kind == "backup" and "KeyError" in text and text == job.snapshot().problem
 
 
 async def test_the_daemon_that_is_told_to_makes_them_and_says_so(installation):

@@ -1,18 +1,10 @@
 """What falls due when, and what goes first."""
 
-import asyncio
-
 import pytest
 from control_rig import HandClock, Rig, machine, record_for, running
 from memory_cnc import MemoryNc
 
 from daemon.compensation.operator_requests import Cadence
-from daemon.compensation.parts import Inbox
-
-
-def test_it_is_due_every_period():
-    cadence = Cadence(1.0, start_s=10.0)
-    assert [time_s for time_s in (9.9, 10.0, 10.5, 11.0, 11.9, 12.0) if cadence.due(time_s)] == [10.0, 11.0, 12.0]
 
 
 def test_what_was_late_is_not_made_up_for():
@@ -21,18 +13,6 @@ def test_what_was_late_is_not_made_up_for():
     assert not cadence.due(17.4)
     assert cadence.next_s == pytest.approx(17.55), "not at once, and not a whole period later either"
     assert cadence.due(17.6)
-
-
-async def test_waiting_ends_with_a_message_or_with_the_time():
-    inbox, taken = Inbox(), []
-    await inbox.woken(0.001)
-    await inbox.woken(-1.0)
-    assert not inbox
-    asyncio.get_running_loop().call_soon(inbox.put, lambda: taken.append(1))
-    async with asyncio.timeout(30.0):
-        await inbox.woken(1e6)
-    inbox.take()()
-    assert taken == [1] and not inbox
 
 
 @pytest.mark.parametrize(("new_reference", "expected"), [(False, ["act", "poll"]), (True, ["poll", "act"])])

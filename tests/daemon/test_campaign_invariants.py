@@ -62,13 +62,6 @@ def test_the_slew_rate(trace: Trace) -> None:
     assert trace.violated == {"slew_written"}
 
 
-def test_a_return_to_where_the_tool_is_is_no_step(trace: Trace) -> None:
-    trace.block(0.0, 0.0)
-    trace.watch.applied(1.0, {"x": 0.0, "y": 0.0, "z": 8.0}, cutting=False)
-    trace.block(10.0, 8.0)
-    assert trace.violated == set()
-
-
 def test_the_bound(trace: Trace) -> None:
     trace.block(0.0, 81.0)
     assert trace.violated == {"bound_written"}
@@ -124,15 +117,6 @@ def test_a_number_that_is_used_twice(trace: Trace) -> None:
     assert trace.violated == {"block_order"}
 
 
-def test_a_block_that_was_cut_short_may_be_sent_again(trace: Trace) -> None:
-    trace.watch.group(0.0, ((A, 1.0),), claims(), taken=True)
-    content = ((X, 0.0), (Y, 0.0), (Z, 0.0), (VALID, 1.0), (ENABLE, 0.0), (CHECK, 1.0))
-    trace.watch.group(0.0, content, claims(), taken=True)
-    trace.watch.group(0.0, ((B, 1.0),), claims(), taken=False)
-    trace.block(3.0, 0.0)
-    assert trace.violated == set()
-
-
 def test_writing_in_fault_and_without_a_link(trace: Trace) -> None:
     trace.block(0.0, 0.0, claims("FAULT"))
     assert trace.violated == {"nothing_written_in_fault"}
@@ -144,12 +128,6 @@ def test_motion_in_hold(trace: Trace) -> None:
     trace.block(0.0, 0.0, claims("HOLD"))
     trace.block(60.0, 1.0, claims("HOLD"))
     assert trace.violated == {"hold_freezes"}
-
-
-def test_a_disabled_axis_may_retreat_in_hold(trace: Trace) -> None:
-    trace.block(0.0, 0.0, claims("HOLD", wanted=(False, True, False)))
-    trace.block(60.0, 1.0, claims("HOLD", wanted=(False, True, False)))
-    assert trace.violated == set()
 
 
 def test_motion_without_temperatures(trace: Trace) -> None:
@@ -195,14 +173,6 @@ def test_a_step_at_switching(trace: Trace) -> None:
     assert "no_step_at_switching" in trace.violated
 
 
-def test_switching_between_two_writes_allows_what_the_slew_rate_did_before_it(trace: Trace) -> None:
-    trace.watch.heard(0.0, claims())
-    trace.block(0.0, 20.0)
-    trace.watch.heard(3.6, claims(wanted=(False, True, False)))
-    trace.block(3.6, 20.24, claims(wanted=(False, True, False)))
-    assert trace.violated == set()
-
-
 @pytest.mark.parametrize("mark", ["model", "tool", "probe"])
 def test_a_step_where_what_is_written_must_go_on(trace: Trace, mark: str) -> None:
     trace.watch.heard(0.0, claims(model="m1"))
@@ -222,23 +192,3 @@ def test_a_hold_that_lasts_too_long(trace: Trace) -> None:
     assert trace.violated == set()
     trace.watch.heard(616.0, claims("HOLD"))
     assert trace.violated == {"hold_is_left"}
-
-
-def test_only_the_first_violations_are_told() -> None:
-    told: list[str] = []
-    ledger = Ledger(("a",), tell=told.append)
-    for n in range(20):
-        ledger.check("a", False, str(n))
-    assert ledger.counts["a"].violated == ledger.violations == 20
-    assert told == [f"a: {n}" for n in range(5)]
-
-
-def test_without_an_echo_the_command_stays_where_it_was_at_a_reference(trace: Trace) -> None:
-    trace.watch.input_is(0.0, good=True, echo_known=False)
-    trace.block(0.0, 0.4)
-    trace.watch.heard(9.0, claims(reference="r2"))
-    trace.block(10.0, 0.4)
-    assert trace.violated == set()
-    trace.watch.heard(19.0, claims(reference="r3"))
-    trace.block(20.0, 2.0)
-    assert "no_step_at_reference" in trace.violated

@@ -7,11 +7,8 @@ from shipped_machine import shipped_machine
 from daemon.simulation.faults.invariants import Ledger
 from daemon.simulation.faults.operations_check import (
     ANSWERED_WITHIN_S,
-    CALM_S,
     ENDED_WITHIN_S,
     SETTLED_S,
-    TAKEN_UP_AFTER_S,
-    WAITS_S,
     HeartbeatWatch,
     OperationsWatch,
     Request,
@@ -52,28 +49,10 @@ def test_a_request_that_is_answered_in_time_is_right_and_a_probe_is_expected_in_
     assert [(probe.axis, probe.deviation_um) for probe in bench.watch.probes] == [(3, 4.0)]
 
 
-def test_a_tool_whose_name_was_withdrawn_is_unnamed_until_a_name_is_taken(bench: Bench) -> None:
-    assert not bench.watch.tool_unnamed
-    bench.watch.asked(request(kind=3))
-    bench.watch.asked(request())
-    assert bench.watch.answered(CALM_FROM_S + 3.0, 7.0) == "probe"
-    assert bench.watch.tool_unnamed
-    bench.watch.asked(request(kind=3))
-    assert bench.watch.answered(CALM_FROM_S + 6.0, 7.0) == "tool"
-    assert not bench.watch.tool_unnamed
-
-
 def test_a_request_without_an_answer_is_found(bench: Bench) -> None:
     bench.watch.asked(request())
     bench.watch.heard(CALM_FROM_S + ANSWERED_WITHIN_S + 0.1, claims(), 0.0)
     assert bench.checked("request_answered") == (1, 1)
-
-
-def test_a_request_amid_an_incident_is_not_judged(bench: Bench) -> None:
-    bench.watch.begun(CALM_FROM_S - 5.0, Happening(kind=Incident.SLOW_CNC, at_s=CALM_FROM_S - 5.0, duration_s=10.0))
-    bench.watch.asked(request())
-    bench.watch.heard(CALM_FROM_S + 100.0, claims(), 0.0)
-    assert bench.checked("request_answered") == (0, 0)
 
 
 def test_an_answer_to_nothing_is_found(bench: Bench) -> None:
@@ -85,27 +64,12 @@ def test_an_answer_to_nothing_is_found(bench: Bench) -> None:
     assert bench.watch.probes == [], "refused"
 
 
-@pytest.mark.parametrize(("kind", "mark"), [(1, "tool"), (2, "probe"), (3, "tool")])
-def test_what_was_asked_for_marks_where_nothing_may_step(bench: Bench, kind: int, mark: str) -> None:
-    bench.watch.asked(request(kind=kind))
-    assert bench.watch.answered(CALM_FROM_S + 1.0, 7.0) == mark
-
-
 @pytest.mark.parametrize(("after", "violated"), [("r1", 1), (None, 0), ("r2", 0)])
 def test_a_reference_that_a_poll_has_ended_must_go(bench: Bench, after: str | None, violated: int) -> None:
     bench.watch.begun(CALM_FROM_S, Happening(kind=Incident.WORK_OFFSET, at_s=CALM_FROM_S, duration_s=30.0))
     bench.watch.polled(CALM_FROM_S + 2.0, retreat_block=False)
     bench.watch.heard(CALM_FROM_S + 2.0 + ENDED_WITHIN_S + 0.1, claims(reference=after), 0.0)
     assert bench.checked("reference_ends") == (1, violated)
-
-
-def test_a_work_offset_that_no_poll_has_shown_ends_nothing(bench: Bench) -> None:
-    happening = Happening(kind=Incident.WORK_OFFSET, at_s=CALM_FROM_S, duration_s=1.0)
-    bench.watch.begun(CALM_FROM_S, happening)
-    bench.watch.ended(happening)
-    bench.watch.polled(CALM_FROM_S + 2.0, retreat_block=False)
-    bench.watch.heard(CALM_FROM_S + 60.0, claims(), 0.0)
-    assert bench.checked("reference_ends") == (0, 0)
 
 
 @pytest.mark.parametrize(("applied_um", "violated"), [(0.0, 0), (3.0, 1)])
@@ -131,16 +95,6 @@ def test_a_released_model_must_estimate(bench: Bench, model: str, violated: int)
     assert bench.checked("model_taken_up") == (1, violated)
 
 
-def test_a_released_model_may_wait_for_a_while_when_the_daemon_says_why(bench: Bench) -> None:
-    bench.watch.released(CALM_FROM_S, "m2")
-    due_s = CALM_FROM_S + TAKEN_UP_AFTER_S
-    bench.watch.round(due_s + 10.0, claims(model="m1", waits="a sensor is silent"))
-    bench.watch.round(due_s + WAITS_S - 10.0, claims(model="m1", waits="a sensor is silent"))
-    assert bench.checked("model_taken_up") == (0, 0)
-    bench.watch.round(due_s + WAITS_S + 10.0, claims(model="m1", waits="a sensor is silent"))
-    assert bench.checked("model_taken_up") == (1, 1)
-
-
 @pytest.mark.parametrize(("left_out", "violated"), [((99,), 0), ((26,), 1)])
 @pytest.mark.parametrize("limit_k", [0.3, 4.0])
 def test_a_sensor_that_has_long_been_wrong_must_not_count(
@@ -154,14 +108,6 @@ def test_a_sensor_that_has_long_been_wrong_must_not_count(
     assert bench.checked("wrong_sensor_left_out") == (0, 0)
     bench.watch.wrong_sensor(judged_s + 100.0, drift, claims(left_out=left_out), limit_k)
     assert bench.checked("wrong_sensor_left_out") == (1, violated)
-
-
-def test_what_a_daemon_took_just_before_it_died_need_not_be_stored(bench: Bench) -> None:
-    for time_s in (CALM_FROM_S, CALM_FROM_S + 2 * CALM_S):
-        bench.watch.asked(request(time_s))
-        bench.watch.answered(time_s, 7.0)
-    bench.watch.died(CALM_FROM_S + 2 * CALM_S + 1.0)
-    assert [probe.answered_s for probe in bench.watch.probes] == [CALM_FROM_S]
 
 
 @pytest.mark.parametrize(

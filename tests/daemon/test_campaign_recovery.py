@@ -6,9 +6,7 @@ import pytest
 from campaign_claims import claims
 
 from daemon.simulation.faults.invariants import Ledger
-from daemon.simulation.faults.recovery import WITHIN_S, CutFreeze, GoodInput, RecoveryWatch, Truth, where_it_leads
-from daemon.simulation.faults.script import Happening, Incident
-from drivers.sim.faults import FaultKind
+from daemon.simulation.faults.recovery import CutFreeze, RecoveryWatch, Truth, where_it_leads
 
 NAMED_T2 = "the control shows T1, and the NC program has named T2"
 
@@ -66,13 +64,6 @@ def test_within_a_cut_an_estimate_of_less_confidence_is_not_followed(
     assert not freeze.look(claims(state, confidence=within), 0.7, cutting=True)
 
 
-def test_confidence_that_was_too_little_between_cuts_does_not_count_as_weighed() -> None:
-    freeze = CutFreeze(0.95)
-    assert not freeze.look(claims(confidence=1.0), 0.7, cutting=False)
-    assert not freeze.look(claims("HOLD", confidence=0.5), 0.7, cutting=False)
-    assert freeze.look(claims("HOLD", confidence=0.8), 0.7, cutting=True)
-
-
 def watched(states: list[tuple[float, str]], **known: bool) -> tuple[Ledger, RecoveryWatch]:
     """A case whose good input came at 100 s in HOLD, and the states that were claimed afterwards."""
     ledger = Ledger()
@@ -102,16 +93,6 @@ def test_a_fault_that_is_not_seen_is_wrong() -> None:
     assert ledger.violations == 1
 
 
-def test_a_state_that_falls_back_later_is_wrong() -> None:
-    ledger, _ = watched([(101.0, "ACTIVE"), *((105.0 + n, "HOLD") for n in range(30))])
-    assert ledger.violations == 1
-
-
-def test_the_case_waits_until_its_time_is_over() -> None:
-    _, watch = watched([(101.0, "ACTIVE"), (100.0 + WITHIN_S - 0.1, "ACTIVE")])
-    assert watch.open
-
-
 def test_a_new_incident_puts_the_judgement_off() -> None:
     ledger, watch = watched([(101.0, "HOLD")])
     watch.begun("noise")
@@ -120,91 +101,7 @@ def test_a_new_incident_puts_the_judgement_off() -> None:
     assert ledger.counts == {}
 
 
-def test_a_fault_that_a_person_has_acknowledged_leads_to_hold_and_on() -> None:
-    ledger, watch = watched([(101.0, "FAULT")], distrust=True)
-    watch.left_fault(104.0, acknowledged=True)
-    for time_s, state in ((104.0, "HOLD"), (105.0, "ACTIVE"), (120.0, "ACTIVE")):
-        if watch.open:
-            watch.look(time_s, truth(), claims(state))
-    assert ledger.violations == 0
-    assert ledger.counts["state_after_fault"].checked == 1
-    assert watch.times_s == {"frozen_cnc": [0.0]}, "counted from the acknowledgement"
-
-
-def test_switching_on_during_a_retreat_leads_on_from_the_retreat() -> None:
-    """After a restart into HOLD with nothing asked for, a person asks again while no estimate can be followed."""
-    ledger = Ledger()
-    watch = RecoveryWatch(ledger, 0.7)
-    watch.over({"killed_in_write"})
-    watch.good_input(100.0, claims("HOLD", wanted=(False,), in_domain=False))
-    asked = [(101.0, "HOLD", False), (102.0, "RETREAT", False), *((103.0 + n, "ARMED", True) for n in range(30))]
-    for time_s, state, wanted in asked:
-        if watch.open:
-            watch.look(time_s, truth(), claims(state, wanted=(wanted,), in_domain=False))
-    assert (ledger.counts["state_after_fault"].checked, ledger.violations) == (1, 0)
-
-
 def test_a_fault_that_ends_by_itself_is_wrong() -> None:
     ledger, watch = watched([])
     watch.left_fault(104.0, acknowledged=False)
     assert ledger.counts["fault_is_latched"].violated == 1
-
-
-LINES = ("spindle", "saddle")
-
-
-def happening(kind: FaultKind | Incident, **more: Any) -> Happening:
-    return Happening(kind=kind, at_s=0.0, **more)
-
-
-def test_after_a_disturbed_line_its_own_cycle_counts() -> None:
-    good = GoodInput(LINES)
-    good.after(happening(FaultKind.NOISE, target="saddle"))
-    good.cycle("spindle")
-    good.cnc()
-    assert not good.there
-    good.cycle("saddle")
-    assert good.there
-
-
-def test_after_nodes_were_counted_anew_the_third_cycle_counts() -> None:
-    good = GoodInput(LINES)
-    good.after(happening(FaultKind.RENUMBERED, target="saddle", amount=3.0))
-    good.cycle("saddle")
-    good.cycle("saddle")
-    assert not good.there
-    good.cycle("saddle")
-    assert good.there
-
-
-def test_after_the_cnc_was_away_its_answer_counts_and_after_a_start_both() -> None:
-    good = GoodInput(LINES)
-    good.after(happening(FaultKind.FROZEN_CNC))
-    assert not good.there
-    good.cnc()
-    assert good.there
-    good.after(happening(Incident.KILLED_DAEMON))
-    good.cnc()
-    assert not good.there
-    good.cycle("spindle")
-    assert good.there
-
-
-def test_after_all_lines_were_dead_as_many_cycles_of_each_count_as_values_after_a_gap_take() -> None:
-    good = GoodInput(LINES)
-    good.after(happening(Incident.BLIND))
-    for _ in range(3):
-        assert not good.there
-        for line in LINES:
-            good.cycle(line)
-    assert good.there
-
-
-def test_after_a_line_was_silent_for_longer_than_values_are_held_the_third_cycle_counts() -> None:
-    good = GoodInput(LINES)
-    good.after(happening(FaultKind.DEAD_LINE, target="saddle", duration_s=61.0))
-    good.cycle("saddle")
-    good.cycle("saddle")
-    assert not good.there
-    good.cycle("saddle")
-    assert good.there

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from history_records import EPOCH_S, SMALL, StillClock, command, cycle, displacement, macros, receipt, trace
+from history_records import EPOCH_S, SMALL, StillClock, command, cycle, displacement, macros, receipt
 
 from daemon.history.rows import utc_ms
 from daemon.history.writer import HistoryWriter
@@ -64,21 +64,6 @@ def test_a_cycle_that_is_not_there_is_lost(stored: tuple[Path, Acknowledgements]
     assert (check.lost, ledger.counts["acknowledged_cycles_kept"].violated) == (1, 1)
 
 
-def test_a_store_that_is_gone_has_lost_everything(stored: tuple[Path, Acknowledgements], tmp_path: Path) -> None:
-    _, acknowledgements = stored
-    check, ledger = checked(tmp_path / "none.sqlite")
-    check.acknowledged_cycles(acknowledgements)
-    check.audit(1, None)
-    assert check.lost == 10
-    assert ledger.counts["audit_complete"].violated == 1
-
-
-def test_before_anything_was_written_there_need_be_no_store(tmp_path: Path) -> None:
-    check, ledger = checked(tmp_path / "none.sqlite")
-    check.audit(1, None, written=False)
-    assert ledger.violations == 0
-
-
 def test_a_block_without_an_intent_is_found(stored: tuple[Path, Acknowledgements]) -> None:
     check, ledger = checked(stored[0])
     check.audit(0, [7.0, 8.0])
@@ -110,13 +95,6 @@ def test_a_row_that_is_stored_twice_is_found(tmp_path: Path) -> None:
     check.displacements()
     count = ledger.counts["displacements_once"]
     assert (count.checked, count.violated) == (4, 1)
-
-
-def test_the_trace_of_the_records_is_one(stored: tuple[Path, Acknowledgements]) -> None:
-    """The keys hold number and millisecond: two cycles of the same number at other times are two."""
-    first, second = trace(EPOCH_S).first_byte, trace(EPOCH_S + 0.001).first_byte
-    assert cycle_key(1, utc_ms(first)) != cycle_key(1, utc_ms(second))
-    assert cycle_key(1, utc_ms(first)) != cycle_key(2, utc_ms(first))
 
 
 def test_a_change_of_state_that_nobody_knows_is_found(tmp_path: Path) -> None:

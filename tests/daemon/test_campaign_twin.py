@@ -13,7 +13,6 @@ from config.machines import shipped_file
 from config.schema import Configuration
 from daemon.cli.simulate.demo import demo_machine
 from daemon.simulation.faults.invariants import Ledger
-from daemon.simulation.faults.operations_check import Request
 from daemon.simulation.faults.truth_watch import DELAY_S, PASSED_S, TruthWatch
 from daemon.simulation.faults.twin import Twin
 from daemon.simulation.processes import write_simulation_configuration
@@ -140,12 +139,6 @@ def _imported(path: Path) -> Iterator[str]:
 # --- the law -------------------------------------------------------------------------------
 
 
-def test_nothing_is_said_before_a_reference_and_a_reference_moves_nothing(bench: Bench) -> None:
-    assert bench.twin.request_um("y") is None
-    bench.reference()
-    assert bench.requests() == pytest.approx((4.0, 10.0))
-
-
 def test_the_request_takes_the_estimate_from_the_baseline(bench: Bench) -> None:
     bench.reference()
     bench.warm(2.0)
@@ -162,16 +155,6 @@ def test_the_bound_holds(bench: Bench) -> None:
     bench.warm(300.0)
     axes = bench.configuration.compensation.axes
     assert [abs(um) for um in bench.requests()] <= [axes["y"].absolute_bound_um, axes["z"].absolute_bound_um]
-
-
-def test_another_model_contributes_from_now_on(bench: Bench) -> None:
-    bench.reference()
-    bench.warm(2.0)
-    before = bench.requests()
-    bench.twin.model(bench.time_s, OTHER)
-    assert bench.requests() == pytest.approx(before, abs=1e-6)
-    bench.warm(2.0)
-    assert np.array(bench.requests()) - before == pytest.approx(np.array(before) - (4.0, 10.0), rel=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -210,17 +193,6 @@ def test_a_probe_is_cancelled_and_the_setting_of_a_tool_is_gone_with_the_power(b
     assert bench.requests()[0] == pytest.approx(4.0)
     bench.twin.forget()
     assert bench.twin.request_um("y") is None
-
-
-def test_a_probe_at_the_bound_is_cancelled_from_where_the_tool_is(bench: Bench) -> None:
-    """The request is beyond the bound: counted from the bound, its excess stood against the probe for ever."""
-    bound_um = bench.configuration.compensation.axes["y"].absolute_bound_um
-    bench.reference()
-    bench.warm(300.0)
-    away = 1.0 if bench.requests()[0] > 0 else -1.0
-    assert abs(bench.requests()[0]) == bound_um
-    bench.twin.probed("y", away * 2.0, away * bound_um)
-    assert bench.requests()[0] == pytest.approx(away * (bound_um - 2.0))
 
 
 def test_what_a_probe_found_returns_as_the_model_says_but_not_after_a_restart(configuration: Configuration) -> None:
@@ -296,72 +268,7 @@ def test_an_axis_has_the_time_that_its_slew_rate_takes(judged: Judged) -> None:
     assert judged.stand(60.0, z=30.0) == 1
 
 
-def test_another_tool_on_the_way_takes_the_time_of_its_own_distance(judged: Judged) -> None:
-    """T2, set in a retreat, was 30 um from where the tool stood; T3 came on the way and was 20 um further."""
-    way_s = 60.0 * 20.0 / judged.bench.configuration.compensation.axes["z"].slew_um_per_min
-    assert judged.stand(DELAY_S + way_s - 5.0, z=30.0) == 0
-    further = Request(time_s=judged.now_s, counter=5, kind=2, axis=3, value_mm=0.02)
-    judged.watch.answered(further, 5.0, {**APPLIED, "z": 10.0})
-    assert judged.bench.requests()[1] == pytest.approx(-10.0)
-    assert judged.stand(way_s, z=30.0) == 0
-    assert judged.stand(60.0, z=30.0) == 1
-
-
-def test_in_a_cut_where_no_guard_runs_nothing_is_asked_of_the_tool(judged: Judged) -> None:
-    assert judged.stand(3000.0, guard=False, z=30.0) == 0
-
-
 @pytest.mark.parametrize("state", ["HOLD", "ARMED", "RETREAT", "FAULT"])
 def test_an_output_that_says_that_it_does_not_know_is_believed(judged: Judged, state: str) -> None:
     judged.claims = claims(state=state, reference="r1", estimate_reference="r1", model=MODEL, wanted=WANTED)
     assert judged.stand(3000.0, z=30.0) == 0
-
-
-def test_while_something_is_wrong_and_for_a_while_after_nothing_is_judged(judged: Judged) -> None:
-    judged.watch.busy(judged.now_s + 1000.0)
-    assert judged.stand(1000.0 + PASSED_S, z=30.0) == 0
-    assert judged.stand(600.0, z=30.0) == 1
-
-
-def test_a_daemon_that_was_killed_says_nothing_of_where_the_tool_stands(judged: Judged) -> None:
-    judged.watch.busy(judged.now_s + 600.0)
-    assert judged.stand(600.0 + PASSED_S, says=False, z=30.0) == 0
-    judged.watch.heard(judged.now_s, None, {}, disturbed=True)
-    assert judged.stand(1000.0, says=False, z=30.0) == 0
-    assert judged.stand(PASSED_S + 600.0, z=30.0) == 1, "the next one is asked"
-
-
-def test_a_refused_request_changes_nothing_and_one_that_was_taken_does(judged: Judged) -> None:
-    request = Request(time_s=judged.now_s, counter=5, kind=2, axis=2, value_mm=0.003)
-    judged.watch.answered(request, -5.0, APPLIED)
-    assert judged.bench.requests()[0] == pytest.approx(4.0)
-    judged.watch.answered(request, 5.0, APPLIED)
-    assert judged.bench.requests()[0] == pytest.approx(1.0)
-
-
-def test_after_a_restart_a_new_reference_forgets_the_tools_and_the_same_one_does_not(judged: Judged) -> None:
-    judged.bench.twin.tool_set(judged.now_s, "z", 31.0)
-    judged.watch.restarted(judged.now_s)
-    judged.say()
-    assert judged.bench.requests()[1] == pytest.approx(31.0)
-    judged.watch.restarted(judged.now_s)
-    judged.claims = claims(state="ACTIVE", reference="r2", estimate_reference="r2", model=MODEL, wanted=WANTED)
-    judged.say()
-    judged.bench.twin.tool_changed(7)
-    assert judged.bench.requests()[1] == pytest.approx(10.0)
-
-
-def test_a_setting_that_a_restart_takes_up_from_an_ended_reference_counts_on(judged: Judged) -> None:
-    twin = judged.bench.twin
-    for number, um in ((2, 31.0), (3, 35.0)):
-        twin.tool_changed(number)
-        twin.tool_set(judged.now_s, "z", um)
-    twin.tool_changed(1)
-    judged.watch.restarted(judged.now_s)
-    content = {"reference": "r2", "estimate_reference": "r2", "model": MODEL, "wanted": WANTED, "tools": (2,)}
-    judged.claims = claims(state="ACTIVE", **content)
-    judged.say()
-    twin.tool_changed(2)
-    assert judged.bench.requests()[1] == pytest.approx(31.0)
-    twin.tool_changed(3)
-    assert judged.bench.requests()[1] == pytest.approx(10.0), "it has ended, and the daemon said so"

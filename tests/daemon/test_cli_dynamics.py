@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dynamics_command import DIRECT, FREE, answer, call, nose, refusal, write_csv
+from dynamics_command import DIRECT, answer, call, nose, refusal, write_csv
 
 from config.machine.spindle import shipped_spindles
 
@@ -34,31 +34,6 @@ def test_modes_on_bearings_and_free(spindle: Path, tmp_path: Path) -> None:
         assert max(np.abs(mode["shape"])) == pytest.approx(1.0)
 
 
-def test_published_inertia_raises_the_frequencies(spindle: Path) -> None:
-    correct, published = (answer("modes", spindle, "--rotary", which) for which in ("correct", "published"))
-    assert published["modes"][1]["frequency_hz"] > 1.005 * correct["modes"][1]["frequency_hz"]
-    assert answer("modes", spindle)["modes"] == correct["modes"]
-
-
-def test_frequencies_of_a_response(spindle: Path) -> None:
-    assert len(nose(spindle)[0]) == 2817
-    at, _ = nose(spindle, "--from-hz", 100, "--to-hz", 200, "--points", 11)
-    assert at.tolist() == pytest.approx(np.arange(100, 201, 10))
-    at, _ = nose(spindle, "--from-hz", 100, "--to-hz", 200, "--df", 0.1)
-    assert (len(at), at[-1]) == (1001, pytest.approx(200.0))
-
-
-def test_peaks_lie_where_the_magnitude_is_largest_and_near_the_modes(spindle: Path) -> None:
-    found = answer("frf", spindle)
-    values = np.abs(np.array(found["receptance_re"]) + 1j * np.array(found["receptance_im"]))
-    best = max(found["peaks"], key=lambda peak: peak["magnitude_m_per_n"])
-    assert best["magnitude_m_per_n"] == values.max()
-    assert best["frequency_hz"] == found["frequency_hz"][int(values.argmax())]
-    assert np.all(np.array(found["receptance_im"]) < 0.0)
-    first = answer("modes", spindle, "--count", 1)["modes"][0]["frequency_hz"]
-    assert min(abs(peak["frequency_hz"] - first) for peak in found["peaks"]) < 0.02 * first
-
-
 def test_a_written_response_is_a_measurement_for_identification(spindle: Path, tmp_path: Path) -> None:
     path = tmp_path / "frf.csv"
     found = answer("frf", spindle, "--points", 400, "--csv", path)
@@ -66,16 +41,6 @@ def test_a_written_response_is_a_measurement_for_identification(spindle: Path, t
     assert table[:, 1].tolist() == found["receptance_re"]
     assert answer("identify", spindle, path, "--fixed", "file")["log_error"] < 1e-6
     assert "a folder that exists" in refusal("frf", spindle, "--csv", tmp_path / "nowhere" / "frf.csv")
-
-
-def test_holder_and_tool_soften_the_spindle() -> None:
-    compliance = {}
-    for at in ("nose", "holder", "tool"):
-        found = answer("frf", "tool_cold_y", "--at", at, "--points", 800)
-        compliance[at] = max(peak["magnitude_m_per_n"] for peak in found["peaks"])
-    assert compliance["nose"] < compliance["holder"] < compliance["tool"]
-    points = answer("modes", "tool_cold_y", "--count", 1)["modes"][0]["points_mm"]
-    assert (points[0], points[-1]) == (pytest.approx(-144.1), pytest.approx(501.1))
 
 
 @pytest.mark.parametrize("parameters", ["5", "7"])
@@ -148,14 +113,6 @@ def test_groups_have_any_names_and_a_person_says_what_varies(tmp_path: Path) -> 
     assert "name what is varied" in refusal("identify", guess, measured, "--parameters", "5")
 
 
-def test_kept_parameters_come_from_the_file_where_only_that_fits(spindle: Path, tmp_path: Path) -> None:
-    measured = write_csv(tmp_path / "m.csv", *nose(spindle, "--points", 600))
-    found = answer("identify", spindle, measured)
-    assert found["fixed_from"] == "file"
-    assert found["values"]["kt_34"] == pytest.approx(1.7e8, rel=1e-4)
-    assert answer("identify", spindle, measured, "--fixed", "source")["log_error"] > 10 * found["log_error"]
-
-
 def test_accelerance_and_universal_files_give_the_same(spindle: Path, tmp_path: Path) -> None:
     import pyuff
 
@@ -188,39 +145,6 @@ def test_contact_of_the_holder_is_found_again(tmp_path: Path) -> None:
     contact = answer("contact", "holder_cold_y", measured, "--joint", "spindle-holder")
     expected = {"kt": 1.25e8, "ct": 3.56e3, "kr": 8.63e5, "cr": 2.35e3}
     assert contact["values"] == pytest.approx(expected, rel=1e-4)
-
-
-def test_contact_within_the_shaft_is_found_again(tmp_path: Path) -> None:
-    jointed = tmp_path / "jointed.yaml"
-    joint = (
-        "joints: [{after_segment: 2, kt_n_per_m: 6.13e8, ct_ns_per_m: 500, kr_nm_per_rad: 3.07e6, cr_nms_per_rad: 5}]"
-    )
-    free = FREE
-    jointed.write_text(f"{free}{joint}\n")
-    measured = write_csv(tmp_path / "m.csv", *nose(jointed, "--points", 600))
-    plain = tmp_path / "plain.yaml"
-    plain.write_text(free)
-    found = answer("contact", plain, measured, "--joint", "shaft", "--after-segment", 2)
-    assert found["values"]["kt"] == pytest.approx(6.13e8, rel=1e-3)
-    assert found["values"]["kr"] == pytest.approx(3.07e6, rel=1e-3)
-
-
-def test_sensitivity_of_steel_scales_with_the_root_of_the_moduli(spindle: Path, tmp_path: Path) -> None:
-    free = tmp_path / "free.yaml"
-    free.write_text(FREE)
-    found = answer("sensitivity", free, "--percent", 5)
-    both = next(each for each in found["variations"] if each["moduli"] == "E+G" and each["percent"] == 5.0)
-    for mode in both["modes"]:
-        assert mode["change_percent"] == pytest.approx(100 * (np.sqrt(1.05) - 1), rel=1e-6)
-        assert mode["mac"] == pytest.approx(1.0)
-
-
-def test_sensitivity_varies_only_composites() -> None:
-    found = answer("sensitivity", "model_2", "--percent", 5)
-    assert found["varied_segments"] == list(range(2, 9))
-    assert set(found["varied_materials"]) == {"cfrp_0", "cfrp_pm30", "cfrp_pm45"}
-    changes = [m["change_percent"] for each in found["variations"] for m in each["modes"]]
-    assert 0.1 < max(np.abs(changes)) < 2.4
 
 
 def test_comparison_of_layouts(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from config.machine.published_bearings import data_folder, published_model
+from config.machine.published_bearings import published_model
 from daemon.cli import main
 from models.thermomechanics.artifact import model_to_json
 
@@ -31,23 +31,6 @@ def test_raw_value_and_flag_per_property() -> None:
     assert all(set(each) == {"raw", "value", "flagged"} for each in found.values())
     assert found["ct_5"]["flagged"] is True
     assert found["ct_5"]["value"] == 0.0
-    assert found["kt_34"]["flagged"] is False
-
-
-def test_changes_have_an_interval_of_4_min_of_their_own_in_x() -> None:
-    still, both = answer("--axis", "x", *AT_20), answer("--axis", "x", *AT_20, "--d-ir", 1)
-    apart = answer("--axis", "x", *AT_20, "--d-ir", 1, "--d4-ir", 0)
-    assert both["kt_34"]["raw"] != still["kt_34"]["raw"]
-    assert apart["kt_34"]["raw"] == still["kt_34"]["raw"]
-    assert apart["ct_12"]["raw"] == both["ct_12"]["raw"] != still["ct_12"]["raw"]
-
-
-def test_bounds_are_configuration(tmp_path: Path) -> None:
-    own = tmp_path / "bounds.yaml"
-    own.write_text((data_folder() / "bounds.yaml").read_text() + "  kt_5: {lowest: 5.0e7, highest: 2.0e8, origin: "
-                   "measured, note: this machine}\n")  # fmt: skip
-    found = answer("--axis", "x", *AT_20, "--bounds", own)
-    assert found["kt_5"] == {"raw": pytest.approx(3.66e7), "value": 5.0e7, "flagged": True}
     assert found["kt_34"]["flagged"] is False
 
 

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -92,33 +91,6 @@ def test_twelve_and_seven_parameters_and_columns_without_labels(few: Path) -> No
     assert min(shares.values()) < 0.5, "one response does not determine twelve parameters"
 
 
-def test_dates_and_several_days(few: Path, tmp_path: Path) -> None:
-    begin = datetime(2026, 3, 2, 8, 0, tzinfo=UTC)
-    rows = np.genfromtxt(few / "temperatures.csv", delimiter=",", names=True)
-    stamps = [(begin + timedelta(seconds=t)).isoformat() for t in rows["t"].tolist()]
-    lines = [f"{stamp},{nose:.4f},{housing:.4f}" for stamp, nose, housing in zip(
-        stamps, rows["T301"].tolist(), rows["T56"].tolist(), strict=True)]  # fmt: skip
-    (few / "dated.csv").write_text("\n".join(["utc,nose,housing", *lines]) + "\n")
-    head, *index = (few / "impacts.csv").read_text().splitlines()
-    dated = [f"{row.rpartition(',')[0]},{begin + timedelta(seconds=float(row.rpartition(',')[2]))}" for row in index]
-    other = tmp_path / "other"
-    shutil.copytree(few, other)
-    np.savetxt(
-        other / "own.csv", np.column_stack([rows["t"], rows["T301"], rows["T56"]]), "%.4f", ",",
-        header="t,nose,housing", comments="",
-    )  # fmt: skip
-    (few / "impacts.csv").write_text("\n".join([head, *dated]) + "\n")
-    result = call(
-        "campaign", few, other, "--temperatures", few / "dated.csv", "--temperatures", other / "own.csv",
-        "--signals", "nose,housing", "--only-five", "--json", "-",
-    )  # fmt: skip
-    assert result.exit_code == 0, result.stderr
-    first, second = json.loads(result.stdout)["axes"]["x"]["series"]["5"]
-    assert (first["run"], second["run"]) == ("few", "other")
-    assert first["time_min"] == pytest.approx(second["time_min"])
-    assert first["values"]["kt_34"] == pytest.approx(second["values"]["kt_34"])
-
-
 def spoil(path: Path, old: str, new: str) -> None:
     text = path.read_text()
     assert old in text
@@ -155,28 +127,6 @@ def test_a_response_in_another_unit_is_refused_by_name(few: Path) -> None:
         assert str(path) in said
 
 
-def test_missing_files_and_bad_choices(few: Path, tmp_path: Path) -> None:
-    recording = few / "temperatures.csv"
-    assert "as many recordings" in refusal(few, few, "--temperatures", recording)
-    assert "impacts.csv" in refusal(tmp_path, "--temperatures", recording, "--spindle", few / "spindle.yaml")
-    assert "none.csv: cannot be opened" in refusal(few, "--temperatures", tmp_path / "none.csv")
-    assert "no recording has the signal Q" in refusal(
-        few, "--temperatures", recording, "--only-five", "--signals", "Q,T56"
-    )
-    assert "ends in .html" in refusal(few, "--temperatures", recording, "--report", tmp_path / "report.pdf")
-    assert "cannot determine 5 parameters" in refusal(
-        few, "--temperatures", recording, "--from-hz", 400, "--to-hz", 600
-    )
-    (few / "impacts.csv").write_text("file,axis,time\nx_001.csv,x,720.0\n")
-    assert "at least 4" in refusal(few, "--temperatures", recording)
-
-
-def test_a_folder_that_holds_something_is_not_written_over(few: Path) -> None:
-    result = call("simulate-campaign", few)
-    assert result.exit_code == 2
-    assert "not an empty folder" in result.stderr
-
-
 # Track
 
 
@@ -210,20 +160,3 @@ def test_the_tool_point_over_the_campaigns_own_recording(simulated: Path, fitted
     stiffness = found["axes"]["y"]["properties"]["kt_34"]
     assert np.corrcoef(stiffness["value"], hz)[0, 1] > 0.9
     assert report.read_text().count("plotly-graph-div") == 5
-
-
-def test_mixing_rotary_inertia_warns_and_missing_signals_are_named(simulated: Path, tmp_path: Path) -> None:
-    recording = simulated / "temperatures.csv"
-    labelled = ["--config", shipped_file("cfrpmt.yaml"), "--every-min", 60]
-    mixed = call("track", recording, "--spindle", "simulated_machine", *labelled, "--axis", "x", "--json", "-")
-    assert mixed.exit_code == 0, mixed.stderr
-    assert "identified with rigid_rotary_inertia published" in json.loads(mixed.stdout)["warnings"][0]
-    for arguments, complaint in (
-        (["--spindle", "simulated_machine"], "no sensor carries the label A, F, IR, Room"),
-        (["--spindle", "model_1", "--at", "nose"], "describes no bearings"),
-        (["--spindle", "unit_model_5_x"], "describes no tool"),
-        (["--spindle", "simulated_machine", "--model", tmp_path / "no.json"], "no.json: cannot be opened"),
-    ):
-        result = call("track", recording, *arguments)
-        assert result.exit_code == 2
-        assert complaint in result.stderr

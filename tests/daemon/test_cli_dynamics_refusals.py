@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dynamics_command import DIRECT, STEEL, TURNING, answer, call, nose, refusal, write_csv
+from dynamics_command import DIRECT, STEEL, answer, call, nose, refusal, write_csv
 
 
 @pytest.fixture
@@ -55,17 +55,6 @@ def test_bad_files_are_refused_with_line_and_key(tmp_path: Path, case: str, comm
     said = refusal(command, path)
     assert str(path) in said
     assert words in said
-
-
-def test_bearings_of_a_group_may_differ_in_a_response_but_not_in_an_identification(
-    spindle: Path, tmp_path: Path
-) -> None:
-    twice = f"  - {{group: '12', position_mm: 120.0, kt_n_per_m: 3e7, ct_ns_per_m: 500, {TURNING}}}\n"
-    path = tmp_path / "differ.yaml"
-    path.write_text(DIRECT + twice)
-    measured = write_csv(tmp_path / "m.csv", *nose(path, "--points", 300))
-    said = refusal("identify", path, measured)
-    assert "the bearings of group '12' have different properties" in said
 
 
 def test_missing_parts_are_refused(spindle: Path, tmp_path: Path) -> None:
@@ -131,14 +120,6 @@ def test_a_response_in_another_unit_is_refused_unless_it_is_trusted(spindle: Pat
     assert "Traceback" not in trusted.output
 
 
-def test_a_mobility_named_receptance_is_refused(spindle: Path, tmp_path: Path) -> None:
-    at, values = nose(spindle, "--points", 400)
-    path = write_csv(tmp_path / "m.csv", at, values * 2j * np.pi * at)
-    assert "of a mobility in m/s per N" in refusal("identify", spindle, path)
-    named = answer("identify", spindle, write_csv(path, at, values * 2j * np.pi * at, "mobility"), "--fixed", "file")
-    assert named["log_error"] < 1e-6
-
-
 def test_the_unit_of_a_response_at_the_holder_is_found_by_what_fits(tmp_path: Path) -> None:
     found = answer("frf", "holder_warm_y", "--at", "holder", "--points", 300)
     values = np.array(found["receptance_re"]) + 1j * np.array(found["receptance_im"])
@@ -166,46 +147,3 @@ def test_numbers_that_nothing_measures_are_refused_though_trusted(
     at, values = nose(spindle, "--points", 60)
     path = write_csv(tmp_path / "m.csv", at * scale, values * factor)
     assert re.search(words, refusal("identify", spindle, path, "--trust-units"))
-
-
-def test_a_response_at_0_hz_alone_is_refused(spindle: Path, tmp_path: Path) -> None:
-    path = write_csv(tmp_path / "m.csv", [0.0], [1e-8 + 0j])
-    assert f"{path}: holds no frequency above 0 Hz" in refusal("identify", spindle, path)
-
-
-def test_a_narrow_band_names_what_it_does_not_determine(spindle: Path, tmp_path: Path) -> None:
-    at, values = nose(spindle, "--from-hz", 8000, "--to-hz", 9000, "--points", 300)
-    found = answer("identify", spindle, write_csv(tmp_path / "m.csv", at, values), "--fixed", "file")
-    unseen = [name for name, seen in found["identifiable"].items() if not seen]
-    assert unseen
-    assert f"from 8000 to 9000 Hz does not determine {', '.join(unseen)}" in found["warnings"][-1]
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--to-hz", "1e300"), "a spindle is computed between 0.001 and 1e+06 Hz"),
-        (("--to-hz", "1e300", "--points", 5), "a spindle is computed between"),
-        (("--from-hz", "1e-300", "--to-hz", "1e-299", "--points", 5), "a spindle is computed between"),
-        (("--from-hz", "1e308", "--to-hz", "1.7e308", "--points", 5), "a spindle is computed between"),
-        (("--df", "1e-300"), "are more than 1000000 frequencies"),
-        (("--df", "1e300"), "leaves one frequency"),
-        (("--from-hz", 500, "--to-hz", "500.0000000000001", "--points", 1000), "lie too close"),
-        (("--points", 10**9), "is not in the range"),
-    ],
-)
-def test_extreme_frequencies_are_refused_with_a_sentence(
-    spindle: Path, options: tuple[object, ...], words: str
-) -> None:
-    assert words in refusal("frf", spindle, *options)
-
-
-def test_the_outermost_frequencies_give_numbers(spindle: Path) -> None:
-    found = answer("frf", spindle, "--from-hz", "0.001", "--to-hz", "1e6", "--points", 50)
-    assert np.isfinite(found["receptance_re"]).all()
-
-
-def test_fewer_modes_than_asked_for_are_said(spindle: Path) -> None:
-    found = answer("modes", spindle, "--count", 100)
-    assert len(found["modes"]) < 100
-    assert f"{len(found['modes'])} of 100 modes lie below" in found["warnings"][0]

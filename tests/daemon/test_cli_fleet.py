@@ -13,7 +13,7 @@ from click.testing import CliRunner, Result
 from sisters import few_sensors, write_configuration, write_sister
 
 from config.loader import parse_yaml_model
-from config.recordings.machine_map import MachineMap, load_machine_map
+from config.recordings.machine_map import MachineMap
 from daemon.cli import main
 from daemon.workbench.thermal.fleet_report import contradictions, usual_share
 from models.thermal.family import model_from_json
@@ -61,11 +61,6 @@ def test_a_type_is_learned_and_told_on_machines_that_were_left_out(fleet: Path) 
     assert (fleet / "type.json").stat().st_size > 10_000
 
 
-def test_the_same_type_comes_from_two_processes(fleet: Path) -> None:
-    alone, two = (train(fleet, MACHINES, "--workers", workers, "--json", "-") for workers in ("1", "2"))
-    assert json.loads(alone.stdout)["left_out"] == json.loads(two.stdout)["left_out"]
-
-
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
@@ -91,17 +86,6 @@ def test_a_map_that_does_not_fit_is_refused_with_file_and_key(fleet: Path, chang
         write_map(fleet)
     assert result.exit_code == 2 and said in result.output, result.output
     assert str(path) in result.output or "machine a" in result.output
-
-
-def test_patterns_go_up_from_the_map_s_folder_and_names_may_have_brackets(tmp_path: Path) -> None:
-    folder = tmp_path / "plant [west]"
-    (folder / "maps").mkdir(parents=True)
-    paths = [folder / "run [1].csv", folder / "run-2.csv"]
-    for number, path in enumerate(paths):
-        path.write_text(f"t,T1,Z_um\n{number},20,1\n", encoding="utf-8")
-    entries = "{recordings: ['../run-*.csv', '../run [1].csv']}"
-    (one := folder / "maps" / "machines.yaml").write_text(f"configuration: tp.yaml\nmachines:\n  mill: {entries}\n")
-    assert set(load_machine_map(one, paths)[0].recordings) == set(paths)
 
 
 def test_a_copy_of_a_recording_is_refused(fleet: Path, tmp_path: Path) -> None:
@@ -144,14 +128,6 @@ def test_a_machine_of_which_the_others_know_little_is_named() -> None:
     assert not contradictions([every[2]], ("Y", "Z"), usual_share(every[:4])), "of four nobody knows which is strange"
 
 
-def test_a_recording_that_is_refused_is_named_with_its_machine(fleet: Path, tmp_path: Path) -> None:
-    """Those of all machines are called the same."""
-    channels = ("Y1", "Y2", "Z1", "Z2", "Z3")
-    folder = changed(fleet, tmp_path, lambda name, cell, _row: str(float(cell) / 1e3) if name in channels else cell)
-    result = train(folder)
-    assert result.exit_code == 2 and "machine mill-4: day01.csv" in result.output and "millimetres" in result.output
-
-
 def test_a_machine_that_the_others_contradict_is_named(fleet: Path, tmp_path: Path) -> None:
     folder = changed(fleet, tmp_path, lambda name, cells, _row: str(-float(cells)) if name == "Z1" else cells)
     result = train(folder, MACHINES, "--json", "-")
@@ -160,14 +136,6 @@ def test_a_machine_that_the_others_contradict_is_named(fleet: Path, tmp_path: Pa
     assert "what the other machines know makes it worse than nothing (Z1 -" in warnings["mill-4"][0]
     assert "reversed" in warnings["mill-4"][0] and "Y1" not in warnings["mill-4"][0]
     assert "warning: mill-4: what the other machines know" in result.stderr
-
-
-def test_a_sensor_that_no_configuration_knows_is_refused_with_file_and_column(fleet: Path, tmp_path: Path) -> None:
-    shutil.copytree(fleet, tmp_path / "fleet")
-    write_configuration(tmp_path / "fleet" / "toolpoint.yaml", few_sensors()[:-1])
-    result = train(tmp_path / "fleet")
-    assert result.exit_code == 2
-    assert "m1/day01.csv: column T302: " in result.output and "toolpoint.yaml has no sensor 302" in result.output
 
 
 def test_a_machine_of_another_type_is_refused_with_what_it_lacks(fleet: Path, tmp_path: Path) -> None:
@@ -179,11 +147,6 @@ def test_a_machine_of_another_type_is_refused_with_what_it_lacks(fleet: Path, tm
     write_map(tmp_path / "fleet", machines=machines)
     result = train(tmp_path / "fleet")
     assert result.exit_code == 2 and "machine mill-4: it shares 0 of the 16 sensors of the type" in result.output
-
-
-def test_dask_that_is_not_there_is_refused_with_its_address(fleet: Path) -> None:
-    both = train(fleet, MACHINES, "--dask", "tcp://127.0.0.1:1", "--workers", "2")
-    assert both.exit_code == 2 and "leave it out with --dask" in both.output
 
 
 def test_the_map_in_the_guide_is_one() -> None:

@@ -26,7 +26,6 @@ y: rigid
 feed_deg: 0
 """
 MODE = "modes: [{frequency_hz: 922, damping_ratio: 0.011, mass_kg: 0.03993}]"
-ANGULAR = 2.0 * math.pi * 922.0
 RATE_HZ = 6400
 
 
@@ -83,24 +82,6 @@ def test_lobes_of_the_benchmark(case: Path) -> None:
     assert min(found["limiting_depth_mm"]) >= found["minimum"]["depth_mm"]
 
 
-@pytest.mark.parametrize(
-    "form",
-    [
-        f"{{modes: [{{frequency_hz: 922, damping_ratio: 0.011, stiffness_n_per_m: {0.03993 * ANGULAR**2:.9e}}}]}}",
-        "{modes: [{frequency_hz: 922, damping_ratio: 0.011, residue: "
-        f"[0, {-1.0 / (2 * 0.03993 * ANGULAR * math.sqrt(1 - 0.011**2)):.12e}]}}]}}",
-        "{frf: x.csv}",
-    ],
-    ids=["stiffness", "residue", "frf"],
-)
-def test_every_form_of_a_direction_gives_the_same_lobes(case: Path, form: str) -> None:
-    write_frf(case.with_name("x.csv"), LINES_HZ)
-    path = other(case, (f"{{{MODE}}}", form))
-    assert answer("lobes", path)["minimum"]["depth_mm"] == pytest.approx(0.29805, abs=1e-5)
-    (point,) = answer("lobes", path, "--method", "sdm", "--at", "9000:1.0")["points"]
-    assert point["spectral_radius"] == pytest.approx(0.69188, abs=1e-4)
-
-
 TURNING = """\
 teeth: 4
 diameter_mm: 10
@@ -138,16 +119,6 @@ def test_a_spindle_is_computed_at_each_speed(turning: Path) -> None:
     assert found["minimum"]["depth_mm"] == pytest.approx(min(found["limiting_depth_mm"]))
 
 
-@pytest.mark.slow
-def test_modes_follow_the_spindle_that_turns(turning: Path) -> None:
-    """Four teeth in a slot, where both methods are exact."""
-    slot = turning.parent / "slot.yaml"
-    slot.write_text(TURNING.replace("milling: down", "milling: slot").replace("radial_depth_mm: 5\n", ""), "utf-8")
-    limit = answer("lobes", slot, "--from-rpm", 12000, "--to-rpm", 12012, "--points", 2)["limiting_depth_mm"][0]
-    (point,) = answer("lobes", slot, "--method", "sdm", "--at", f"12000:{limit}")["points"]
-    assert point["spectral_radius"] == pytest.approx(1.0, abs=2e-3)
-
-
 def test_where_a_spindle_cannot_be_computed(turning: Path) -> None:
     assert "leave out --band for a spindle" in refusal("lobes", turning, "--band", "--points", 2)
     one = turning.parent / "one.yaml"
@@ -167,21 +138,6 @@ def run_config(path: Path) -> str:
     return result.stderr
 
 
-def test_greatest_depth_shows_where_nothing_is_found(case: Path) -> None:
-    found = answer("lobes", case, "--max-depth-mm", 0.5, "--points", 300)
-    pairs = list(zip(found["limiting_depth_mm"], found["chatter_hz"], strict=True))
-    assert max(found["limiting_depth_mm"]) == 0.5
-    assert all((depth == 0.5) == (chatter is None) for depth, chatter in pairs)
-    assert any(chatter is None for _, chatter in pairs)
-
-
-def test_spectral_radii_at_points(case: Path) -> None:
-    found = answer("lobes", case, "--method", "sdm", "--at", "9000:1", "--at", "15962.8:1.0")
-    assert [(point["speed_rpm"], point["depth_mm"]) for point in found["points"]] == [(9000.0, 1.0), (15962.8, 1.0)]
-    stable, unstable = (point["spectral_radius"] for point in found["points"])
-    assert stable < 1.0 < unstable
-
-
 def test_semi_discretised_lobes_and_their_picture(case: Path) -> None:
     picture = case.with_name("lobes.png")
     arguments = ("--from-rpm", 8000, "--to-rpm", 12000, "--points", 9, "--picture", picture)
@@ -198,12 +154,6 @@ def test_the_worst_feed_direction(case: Path) -> None:
     worst = answer("lobes", path)
     along_x = answer("lobes", other(case, ("milling: slot", "milling: down"), ("_mm: 10\nmill", "_mm: 2\nmill")))
     assert worst["minimum"]["depth_mm"] < along_x["minimum"]["depth_mm"]
-
-
-def test_known_material_instead_of_coefficients(case: Path) -> None:
-    path = other(case, ("kt_n_per_m2: 6.0e8\nkr_ratio: 0.33333333\n", "material: aluminium_benchmark\n"))
-    assert answer("lobes", path)["minimum"]["depth_mm"] == pytest.approx(0.29805, abs=1e-5)
-    assert "a5052" in json.loads(run("coefficients", "--json", "-").stdout)
 
 
 @pytest.mark.parametrize(
@@ -228,15 +178,6 @@ def test_a_wrong_case_is_refused_with_its_place(case: Path, change: tuple[str, s
     assert sentence in refusal("lobes", other(case, change))
 
 
-@pytest.mark.parametrize("method", ["zoa", "sdm"])
-def test_an_frf_must_cover_the_tooth_passing(case: Path, method: str) -> None:
-    write_frf(case.with_name("x.csv"), LINES_HZ)
-    path = other(case, (f"{{{MODE}}}", "{frf: x.csv}"))
-    text = refusal("lobes", path, "--method", method, "--to-rpm", 90000)
-    assert "covers 300 to 2500 Hz, but 2 teeth at 2000 to 90000 1/min pass at" in text
-    assert "no such file" in refusal("lobes", other(case, (f"{{{MODE}}}", "{frf: missing.csv}"))).lower()
-
-
 def test_an_frf_in_another_unit_is_refused(case: Path) -> None:
     path = other(case, (f"{{{MODE}}}", "{frf: x.csv}"))
     frf = case.with_name("x.csv")
@@ -259,33 +200,6 @@ def test_an_frf_in_another_unit_is_refused(case: Path) -> None:
     assert "holds 2 frequencies" in refusal("lobes", path)
 
 
-def test_bad_usage_is_refused(case: Path) -> None:
-    assert "belong to the semi-discretisation" in refusal("lobes", case, "--at", "9000:1")
-    assert "is no speed and depth" in refusal("lobes", case, "--method", "sdm", "--at", "9000")
-    assert "no range" in refusal("lobes", case, "--from-rpm", 9000, "--to-rpm", 5000)
-
-
-def test_speed_from_a_resonance() -> None:
-    arguments = ("--offset-hz", 20, "--teeth", 4, "--lobe", 1)
-    for resonance_hz, speed_rpm in ((601, 8715.0), (664, 9660.0), (679, 9885.0)):
-        assert answer("speed", "--resonance-hz", resonance_hz, *arguments)["speed_rpm"] == pytest.approx(speed_rpm)
-    assert "leaves no frequency" in refusal("speed", "--resonance-hz", 15, *arguments)
-
-
-def test_choosing_a_speed_and_finding_none(case: Path) -> None:
-    found = answer("choose", case, "--programmed-rpm", 10000, "--depth-mm", 1.0, "--feed-mm-min", 1000)
-    assert found["stable"]
-    assert found["limiting_depth_mm"] >= 1.2
-    assert 8000.0 <= found["speed_rpm"] <= 12000.0
-    assert found["feed_mm_min"] / found["speed_rpm"] == pytest.approx(0.1)
-    none = run("choose", case, "--programmed-rpm", 10000, "--depth-mm", 30, "--json", "-")
-    assert none.exit_code == 1
-    content = json.loads(none.stdout)
-    assert (content["speed_rpm"], content["stable"]) == (10000.0, False)
-    assert "no speed between 8000 and 12000 1/min is stable to 30 mm" in content["alarm"]
-    assert "leave no range" in refusal("choose", case, "--programmed-rpm", 30000, "--depth-mm", 1.0)
-
-
 def test_lobes_over_temperature_with_the_commanded_speed(case: Path) -> None:
     warm = other(case, ("frequency_hz: 922", "frequency_hz: 990"))
     picture = case.with_name("lobes.html")
@@ -296,19 +210,6 @@ def test_lobes_over_temperature_with_the_commanded_speed(case: Path) -> None:
     assert "commanded, case" in text and "working point, case" in text and "tozeroy" in text
     assert "<script src=" not in text
     assert "belong together" in refusal("compare", case, "--depth-mm", 1.0)
-
-
-def test_fitted_modes_can_be_put_into_a_case(case: Path) -> None:
-    write_frf(case.with_name("x.csv"), LINES_HZ)
-    path = other(case, (f"{{{MODE}}}", "{frf: x.csv}"))
-    picture = case.with_name("frf.png")
-    found = answer("modes", path, "--picture", picture)
-    (mode,) = found["x"]["modes"]
-    assert mode["frequency_hz"] == pytest.approx(922.0, rel=1e-6)
-    assert picture.stat().st_size > 10_000
-    again = other(case, (f"{{{MODE}}}", f"{{modes: [{json.dumps(mode)}]}}"))
-    assert answer("lobes", again)["minimum"]["depth_mm"] == pytest.approx(0.29805, abs=1e-5)
-    assert "no direction of this case names an FRF" in refusal("modes", case)
 
 
 def test_coefficients_from_mean_forces(case: Path) -> None:
@@ -364,21 +265,6 @@ def test_chatter_in_a_recording(tmp_path: Path, write: object) -> None:
         assert found["tooth_passing_hz"] == pytest.approx(400.0, abs=0.5)
 
 
-def test_chatter_per_depth_with_a_spectrogram(tmp_path: Path) -> None:
-    path = write_csv(tmp_path / "steps.csv", np.concatenate((cut(2.0, 0.0), cut(2.0, 1.0), cut(2.0, 2.0))))
-    passages = [f"--passage={begin}:{begin + 2}:{depth}" for begin, depth in ((0, 4), (2, 6), (4, 8))]
-    for picture in (tmp_path / "spectrogram.png", tmp_path / "spectrogram.html"):
-        found = answer("chatter", path, "--speed-rpm", 6000, "--teeth", 4, *passages, "--picture", picture)
-        assert picture.stat().st_size > 10_000
-    assert [(part["depth_mm"], part["chatter"]) for part in found["depths"]] == [(4, False), (6, True), (8, True)]
-    assert (found["chatter"], found["lowest_chatter_depth_mm"]) == (True, 6)
-    assert f"chatter at {found['frequency_hz']:.1f} Hz" in picture.read_text("utf-8")
-    for outside in ("5:9:10", "0:1e308:10", "-1e308:2:10"):
-        assert "not inside the recording" in refusal(
-            "chatter", path, "--speed-rpm", 6000, "--teeth", 4, "--passage", outside
-        )
-
-
 def test_what_the_machine_has_without_the_cut_is_no_chatter(tmp_path: Path) -> None:
     """609 Hz at the same power in every recording: a gear mesh, as far as anybody can tell."""
     arguments = ("--speed-rpm", 6100, "--teeth", 4)
@@ -398,32 +284,6 @@ def test_what_the_machine_has_without_the_cut_is_no_chatter(tmp_path: Path) -> N
     assert "record both alike" in refusal("chatter", cut_path, *arguments, "--idle", other_rate)
 
 
-def test_recordings_that_cannot_be_judged(tmp_path: Path) -> None:
-    arguments = ("--speed-rpm", 6000, "--teeth", 4)
-    assert "record longer" in refusal("chatter", write_csv(tmp_path / "short.csv", cut(0.3, 0.0)), *arguments)
-    clipped = write_csv(tmp_path / "clipped.csv", np.clip(cut(2.0, 2.0), -1.5, 1.5))
-    assert "clipped" in refusal("chatter", clipped, *arguments)
-    assert "clipped" in refusal("chatter", write_wav(tmp_path / "clipped.wav", 9.0 * cut(2.0, 2.0)), *arguments)
-    (tmp_path / "odd.csv").write_text("t,a\n1,2\n")
-    assert "there is no column time_s" in refusal("chatter", tmp_path / "odd.csv", *arguments)
-    assert "cannot be opened" in refusal("chatter", tmp_path / "missing.csv", *arguments)
-
-
-def test_roughness_per_depth(tmp_path: Path) -> None:
-    path = tmp_path / "profile.csv"
-    position = np.arange(500) * 0.032
-    rows = [
-        f"{depth},{x:.4f},{height * math.sin(9.0 * x):.5f}" for depth, height in ((4, 1.0), (6, 3.0)) for x in position
-    ]
-    path.write_text("\n".join(["depth_mm,position_mm,height_um", *rows]) + "\n")
-    low, high = answer("roughness", path)["depths"]
-    assert (low["depth_mm"], high["depth_mm"]) == (4.0, 6.0)
-    assert low["ra_um"] == pytest.approx(2.0 / math.pi, rel=0.02)
-    assert high["ra_um"] == pytest.approx(3.0 * low["ra_um"], rel=1e-3)
-    path.write_text("position_mm,height\n1,2\n")
-    assert "no column height_um" in refusal("roughness", path)
-
-
 @pytest.mark.parametrize(("method", "points"), [("zoa", 12), ("sdm", 2)])
 def test_a_band_lies_around_the_lobes(case, tmp_path, method, points):
     words = ["lobes", case, "--method", method, "--points", points, "--from-rpm", 6000, "--to-rpm", 20000, "--band"]
@@ -436,9 +296,3 @@ def test_a_band_lies_around_the_lobes(case, tmp_path, method, points):
     )
     found = answer("lobes", sure, *words[2:])
     assert found["depth_low_mm"] == pytest.approx(found["limiting_depth_mm"], rel=1e-9)
-
-
-def test_a_band_of_one_point_is_refused_and_so_is_an_uncertainty_that_is_no_share(case):
-    assert "--band belongs to lobes" in refusal("lobes", case, "--method", "sdm", "--at", "7000:4", "--band")
-    wrong = other(case, ("feed_deg: 0\n", "feed_deg: 0\nuncertainty: {damping: 2}\n"))
-    assert "uncertainty.damping" in refusal("lobes", wrong, "--band")

@@ -70,21 +70,6 @@ def test_numbers_of_no_machine_are_refused_by_key(run: Any, arguments: tuple[str
     assert "case.yaml:1:" in result.stderr
 
 
-@pytest.mark.parametrize(
-    "at", ["5000:1e300", "1e300:1", "nan:1", "5000:nan", "5000:inf", "5000:0", "-1:1", "5000", "5000:1:2", ":"]
-)
-def test_points_of_no_cut_are_refused(run: Any, at: str) -> None:
-    assert run("lobes", "--method", "sdm", "--at", at).exit_code == 2
-
-
-def test_a_depth_at_which_the_vibration_exceeds_all_numbers_is_refused(run: Any) -> None:
-    soft = {"x": {"modes": [MODE | {"mass_kg": 1e-9}]}, "kt_n_per_m2": 1e13}
-    result = run("lobes", "--method", "sdm", "--at", "5000:0.5", **soft)
-    assert result.exit_code == 2
-    assert "grows beyond all numbers" in result.stderr
-    assert run("lobes", "--method", "sdm", "--points", "6", **soft).exit_code == 0
-
-
 def test_a_speed_too_slow_for_the_steps_is_refused_and_a_slow_one_is_resolved(run: Any) -> None:
     result = run("lobes", "--method", "sdm", "--at", "10:0.2")
     assert result.exit_code == 2
@@ -115,27 +100,3 @@ def test_a_tiny_immersion_has_its_lobes(run: Any, milling: str, kind: float, rad
     assert math.isclose(zoa["minimum"]["depth_mm"], closed_mm, rel_tol=1e-4)
     sdm = json.loads(run("lobes", "--method", "sdm", "--points", "60", *range_rpm, **changes).stdout)
     assert 0.3 * closed_mm < sdm["minimum"]["depth_mm"] < 1.05 * closed_mm
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("--resonance-hz", "1e308", "--offset-hz", "-1e308", "--teeth", "4"),
-        ("--resonance-hz", "1e308", "--teeth", "1"),
-        ("--resonance-hz", "601", "--teeth", "4", "--lobe", "99999999999999999999999"),
-        ("--resonance-hz", "1e-308", "--offset-hz", "0", "--teeth", "100"),
-        ("--resonance-hz", "nan", "--teeth", "4"),
-        ("--resonance-hz", "601", "--offset-hz", "inf", "--teeth", "4"),
-    ],
-)
-def test_a_rule_that_gives_no_speed_is_refused(run: Any, arguments: tuple[str, ...]) -> None:
-    result = run("speed", *arguments)
-    assert result.exit_code == 2
-    assert not result.stdout
-
-
-def test_an_empty_case_says_what_it_needs(tmp_path: Path) -> None:
-    (tmp_path / "empty.yaml").write_text("", encoding="utf-8")
-    result = CliRunner().invoke(main, ["stability", "lobes", str(tmp_path / "empty.yaml")])
-    assert result.exit_code == 2
-    assert "it needs teeth, diameter_mm, milling, x, y" in result.stderr

@@ -70,25 +70,6 @@ def test_every_option_reaches_the_model(tmp_path: Path) -> None:
     assert model.drift_um_per_min[0] != 0.0
 
 
-def test_the_penalty_can_be_chosen_by_training(tmp_path: Path) -> None:
-    result = invoke(day(tmp_path, 1), "--ridge", "auto", "-o", tmp_path / "m.json")
-    assert result.exit_code == 0, result.output
-    model = model_from_json((tmp_path / "m.json").read_text(), "m")
-    assert isinstance(model, LinearModel) and float(model.hyper_parameters["ridge_k2"]) > 0.0
-
-
-def test_a_model_that_is_no_better_than_none_is_called_so(tmp_path: Path) -> None:
-    path = day(tmp_path, 1)
-    rows = np.loadtxt(path, delimiter=",", skiprows=1)
-    rows[:, 5:] = np.cumsum(np.random.default_rng(9).normal(0.0, 1.0, (len(rows), 2)), axis=0)
-    np.savetxt(path, rows, delimiter=",", header="t,rpm,T4,T2,T9,c1,c2", comments="", fmt="%.9g")
-    result = invoke(path, "--b0", "-o", tmp_path / "m.json", "--json", "-")
-    assert result.exit_code == 0
-    worse = json.loads(result.stdout)["held_out"]["relative_rmse"] >= 1.0
-    assert worse == ("no better than none" in result.stderr)
-    assert worse
-
-
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
@@ -110,21 +91,6 @@ def test_bad_usage_ends_with_a_sentence_and_status_2(tmp_path: Path, options: tu
     assert sentence in result.stderr
     assert result.stdout == ""
     assert not output.exists()
-
-
-def test_bad_files_end_with_file_line_and_column(tmp_path: Path) -> None:
-    bad = tmp_path / "bad.csv"
-    bad.write_text("t,T1,c1\n0,20,1\n60,x,1\n", encoding="utf-8")
-    result = invoke(bad, "-o", tmp_path / "m.json")
-    assert (result.exit_code, result.stderr.splitlines()[0]) == (
-        2,
-        f"{bad}:3: column T1: 'x' is not a number; where it stands for a missing value, say missing: ['x'] in the map, "
-        "or leave the field empty",
-    )
-    result = invoke(day(tmp_path, 1), "-o", tmp_path / "missing" / "m.json")
-    assert (result.exit_code, "there is no folder" in result.stderr) == (2, True)
-    result = invoke(day(tmp_path, 1), "-o", tmp_path)
-    assert (result.exit_code, "cannot be written" in result.stderr) == (2, True)
 
 
 def test_training_never_loads_a_fitting_library() -> None:

@@ -79,13 +79,6 @@ def test_with_map_out_a_foreign_csv_becomes_a_model_in_one_go(tmp_path: Path, en
     assert json.loads(evaluated.stdout)["mean"]["reduction_rmse"] > 0.8
 
 
-def test_what_no_column_seems_to_be_is_said_whatever_is_wished(tmp_path: Path) -> None:
-    (path := tmp_path / "odd.csv").write_text("time,foo,power\n0,1,2\n1,1,2\n", encoding="utf-8")
-    result = thermal("train", path, "--map-out", tmp_path / "map.yaml", "-o", tmp_path / "model.json")
-    assert result.exit_code == 2 and not (tmp_path / "map.yaml").exists()
-    assert "none seems to be its temperatures, displacements" in result.stderr
-
-
 def test_columns_that_differ_are_named_and_the_common_ones_offered(tmp_path: Path) -> None:
     files = runs(tmp_path, without=NAMES[2])
     (good := tmp_path / "map.yaml").write_text(
@@ -104,24 +97,6 @@ def test_columns_that_differ_are_named_and_the_common_ones_offered(tmp_path: Pat
     assert result.exit_code == 0, result.output
     assert model(tmp_path / "model.json").sensor_names == (NAMES[0], NAMES[1], NAMES[3])
     assert f"left out, because not all recordings have them: {NAMES[2]}" in result.stderr
-
-
-def test_an_axis_position_that_some_recordings_lack_is_left_out_with_a_sentence(tmp_path: Path) -> None:
-    """A model can do without it: unlike temperatures and displacements it need not be there at all."""
-    paths = [run(tmp_path, number) for number in (1, 2, 3)]
-    for path in paths[1:]:
-        head, *rows = path.read_text(encoding="utf-8").splitlines()
-        moved = [f"{row},{100.0 + number}" for number, row in enumerate(rows)]
-        path.write_text("\n".join([head + ",z_mm", *moved]) + "\n", encoding="utf-8")
-    (good := tmp_path / "map.yaml").write_text(
-        "time: t\nspeed: rpm\ntemperatures: ['T*']\naxis_positions: [z_mm]\ndisplacements: ['c*']\n", encoding="utf-8"
-    )
-    common = ("--map", good, "--model", "ridge", "--common-columns")
-    result = thermal("train", *paths, *common, "-o", tmp_path / "model.json")
-    assert result.exit_code == 0, result.output
-    assert model(tmp_path / "model.json").axis_positions == ()
-    for one in (result, thermal("evaluate", *paths, *common, "--leave-out-runs")):
-        assert "left out, because not all recordings have them: z_mm" in one.stderr
 
 
 @pytest.mark.parametrize(("column", "renamed"), [("Z [mm]", "Z_mm"), ("z_mm", "")])
@@ -143,17 +118,6 @@ def test_an_axis_position_that_no_configuration_can_name_is_told_at_training(
     said = f"axis position '{column}': no key of cnc.axis_positions may be called so"
     assert (said in result.stderr) is bool(renamed)
     assert not renamed or f"call the column {renamed} in the recordings and in the map" in result.stderr
-
-
-def test_columns_in_another_order_are_the_same_columns(tmp_path: Path) -> None:
-    files = runs(tmp_path)
-    lines = [line.split(";") for line in files[1].read_text("utf-8").splitlines()]
-    turned = [";".join([*line[:2], *reversed(line[2:])]) for line in lines]
-    files[1].write_text("\n".join(turned) + "\n", encoding="utf-8")
-    result = thermal(
-        "train", *files, "--model", "ridge", "--map-out", tmp_path / "map.yaml", "-o", tmp_path / "model.json"
-    )
-    assert result.exit_code == 0, result.output
 
 
 def test_a_stuck_sensor_is_named_at_training(tmp_path: Path) -> None:
@@ -200,35 +164,6 @@ def test_what_is_refused_names_the_line_and_the_key_of_the_map_that_helps(tmp_pa
     assert "displacement_units" in said and "record one in which the axis warms" in said
 
 
-def test_a_channel_whose_name_holds_a_comma_can_be_chosen(tmp_path: Path) -> None:
-    files = runs(tmp_path)
-    for path in files:
-        path.write_text(path.read_text("utf-8").replace("Weg Z [µm]", "Weg Z, rel. [µm]"), encoding="utf-8")
-    (given := tmp_path / "map.yaml").write_text(MAP, encoding="utf-8")
-    where = tmp_path / "model.json"
-    result = thermal("train", *files, "--map", given, "--model", "ridge", "--channels", "Weg Z, rel. [µm]", "-o", where)
-    assert result.exit_code == 0, result.output
-    assert model(where).channels == ("Weg Z, rel. [µm]",)
-
-
-def test_what_is_said_of_every_recording_is_said_once(tmp_path: Path) -> None:
-    files = runs(tmp_path)
-    for path in files:
-        head, *rows = path.read_text("utf-8").splitlines()
-        lines = [f"{head};Temp tot [°C]", *(f"{row};22,7" for row in rows)]
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    (given := tmp_path / "map.yaml").write_text(MAP, encoding="utf-8")
-    options = ["--map", given, "--model", "ridge"]
-    result = thermal("train", *files, *options, "-o", tmp_path / "model.json")
-    said = [line for line in result.stderr.splitlines() if "Temp tot [°C]: constant" in line]
-    assert said == [
-        "warning: tag0.csv, tag1.csv, tag2.csv and 1 more: column Temp tot [°C]: constant at 22.7 over the whole "
-        "recording; is the sensor connected?"
-    ]
-    result = thermal("evaluate", *files, *options, "--leave-out-runs")
-    assert result.stderr.count("temperature Temp tot [°C] is left out of the model") == 1
-
-
 def test_a_recording_that_is_written_is_read_whatever_its_columns_are_called(tmp_path: Path) -> None:
     channels = ["Weg X, rel. [µm]", '1st "front"', "Z1"]
     columns = {name: (np.arange(4.0) + place, 3) for place, name in enumerate(["t", "T1", *channels])}
@@ -238,17 +173,6 @@ def test_a_recording_that_is_written_is_read_whatever_its_columns_are_called(tmp
     read = read_recording(tmp_path / "tag.csv", recording_map)
     assert read.displacement_names == tuple(channels)
     assert np.array_equal(read.displacements_um, np.column_stack([columns[name][0] for name in channels]))
-
-
-def test_a_map_of_usual_names_can_be_had_too_to_take_a_column_out_of_it(tmp_path: Path) -> None:
-    rows = "".join(f"{60 * row},{20 + row % 30},{21 + row % 20},{row % 30}\n" for row in range(60))
-    (tmp_path / "day.csv").write_text("time_s,T1,T2,Z1_um\n" + rows, encoding="utf-8")
-    path, output = tmp_path / "map.yaml", tmp_path / "m.json"
-    arguments = ("train", tmp_path / "day.csv", "--model", "ridge", "--map-out", path, "-o", output)
-    assert thermal(*arguments).exit_code == 0
-    found = load_recording_map(path)
-    assert (found.time, found.temperatures, found.displacements) == ("time_s", ["T1", "T2"], ["Z1_um"])
-    assert (found.displacement_names, model(output).channels) == ({"Z1_um": "Z1"}, ("Z1",))
 
 
 @pytest.mark.parametrize(
@@ -264,31 +188,6 @@ def test_what_is_odd_about_a_time_is_told(tmp_path: Path, time: str, texts: tupl
     result = thermal("train", tmp_path / "day.csv", "-o", tmp_path / "m.json")
     assert (result.exit_code, sentence in result.stdout) == (2, True), result.output
     assert "none seems to be its time" in result.stderr
-
-
-def test_a_row_that_stands_twice_counts_once_and_a_day_and_a_month_that_may_be_each_other_are_told(
-    tmp_path: Path,
-) -> None:
-    """One such row took the time for none, and of a date in a column of its own nothing was said."""
-    minutes = [(7 + minute // 60, minute % 60) for minute in range(120)]
-    lines = [f"06/01/2025;{hour:02}:{minute:02}:30 AM;{minute % 13},5;{minute % 7},5" for hour, minute in minutes]
-    lines.insert(30, lines[30])
-    text = "Date;Time;Temp 1;Weg Z [um]\n" + "\n".join(lines) + "\n"
-    (tmp_path / "day.csv").write_text(text, encoding="utf-8")
-    arguments = ("train", tmp_path / "day.csv", "--model", "ridge", "--map-out", tmp_path / "map.yaml")
-    result = thermal(*arguments, "-o", tmp_path / "m.json")
-    assert result.exit_code == 0, result.output
-    assert "'Date': is the day or the month first?" in result.stderr
-    assert read_recording(tmp_path / "day.csv", load_recording_map(tmp_path / "map.yaml")).rows == len(lines) - 1
-
-
-def test_columns_that_a_proposed_map_leaves_out_are_named_with_what_to_do(tmp_path: Path) -> None:
-    rows = "".join(f"{60 * row},{20 + row % 30},{21 + row % 20},{row % 30}\n" for row in range(60))
-    (tmp_path / "day.csv").write_text('time [s],Temp 1,"nose, front",Weg Z [um]\n' + rows, encoding="utf-8")
-    arguments = ("train", tmp_path / "day.csv", "--model", "ridge", "--map-out", tmp_path / "map.yaml")
-    result = thermal(*arguments, "-o", tmp_path / "m.json")
-    assert result.exit_code == 0
-    assert "not used, because the names do not say what they are: 'nose, front'; add what is a temp" in result.stderr
 
 
 def test_a_japanese_logger_is_understood_in_its_own_encoding(tmp_path: Path) -> None:

@@ -11,16 +11,12 @@ from click.testing import CliRunner, Result
 from searched_once import searched_once
 
 from daemon.cli import main
-from daemon.cli.thermal.evaluate import MODELS, parse_fault
+from daemon.cli.thermal.evaluate import MODELS
 from daemon.simulation.replaying import LEAST_SHARE
-from daemon.workbench.thermal.shortfalls import beyond_training, on_line_sentences
-from models.recordings.dataset import Recording
+from daemon.workbench.thermal.shortfalls import on_line_sentences
 from models.thermal.family import model_from_json
 from models.thermal.features import lag_table
 from models.thermal.linear import LinearModel
-from models.thermal.training.inputs import build_inputs
-from models.thermal.training.recipes import RECIPES
-from models.thermal.training.trial import Fault
 
 MINUTES = 120
 SPLIT = ("--train-hours", "0-8", "--test-hours", "8-12")
@@ -126,17 +122,6 @@ def test_every_family_says_what_it_chose(recording: Path, model: str) -> None:
     assert all(test["online"]["following"] >= LEAST_SHARE for test in found["tests"]), "and follows it"
 
 
-def test_the_names_are_those_of_the_families() -> None:
-    assert set(MODELS) == set(RECIPES)
-
-
-def test_cycles_are_left_out_one_by_one(recording: Path) -> None:
-    found = figures(recording, "--leave-out-cycles", "--model", "lags")
-    assert [test["rows"] for test in found["tests"]] == [MINUTES] * 6
-    assert set(found["hyper_parameters"]) == {f"cycle {number}" for number in range(1, 7)}
-    assert found["mean"]["reduction_rmse"] > 0.7
-
-
 def test_runs_are_left_out_one_by_one_each_with_a_zero_of_its_own(tmp_path: Path) -> None:
     paths = []
     for number in range(3):
@@ -187,15 +172,6 @@ def test_faults_are_found_and_cost_little(recording: Path, model: str) -> None:
     assert found["false_alarms"] == 0
 
 
-def test_a_fault_in_training_hours_or_of_no_sensor_is_refused(recording: Path) -> None:
-    for text, sentence in (
-        ("stuck:t1@2h", "hour 2 does not lie in what is tested"),
-        ("open:t9@9h", "there is no temperature t9; there are t1, t2, t3, t4"),
-    ):
-        result = invoke(recording, *SPLIT, "--fault", text)
-        assert (result.exit_code, sentence in result.stderr) == (2, True)
-
-
 def test_a_machine_that_hardly_moves_is_refused_and_still_judged(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     columns = table()
@@ -230,23 +206,6 @@ def test_what_would_not_be_had_on_line_and_a_channel_that_is_made_worse_are_said
     assert "sensors were excluded (t3)" in out[0] and out[-1] == "so it is in 2 more tests"
 
 
-def test_what_a_test_reaches_beyond_training_is_named() -> None:
-    columns = table()
-    rows = np.arange(len(columns["t"]))
-    recording = Recording(
-        name="day.csv",
-        time_s=columns["t"],
-        speed_rpm=np.where(rows >= 480, 1.6, 1.0) * columns["rpm"],
-        temperature_names=("t1", "t2"),
-        temperatures_degc=np.column_stack([columns["t1"] + np.where(rows >= 480, 9.0, 0.0), columns["t2"] % 25.0]),
-        displacement_names=("c1",),
-        displacements_um=columns["c1"][:, None],
-    )
-    inputs = build_inputs([recording], sample_s=60.0, lags_min=(), speed_lags_min=())
-    first, second = beyond_training(inputs, rows < 480, rows >= 480)
-    assert first.startswith("t1 to ") and second == "spindle speed to 5600 1/min (training: 5000)"
-
-
 def test_constant_and_lost_sensors_are_left_out_by_name(tmp_path: Path) -> None:
     columns = table()
     columns["t1"] = np.full_like(columns["t1"], 25.0)
@@ -258,18 +217,6 @@ def test_constant_and_lost_sensors_are_left_out_by_name(tmp_path: Path) -> None:
     assert any("t1: constant" in warning for warning in found["warnings"])
     assert found["mean"]["reduction_rmse"] > 0.3
     assert found["false_alarms"] == 0
-
-
-def test_gaps_and_another_sampling_are_taken(tmp_path: Path) -> None:
-    columns = table()
-    kept = np.ones(len(columns["t"]), dtype=bool)
-    kept[200:206] = kept[330:410] = kept[560:563] = False
-    holes = write(tmp_path / "holes.csv", {name: values[kept] for name, values in columns.items()})
-    coarse = write(tmp_path / "coarse.csv", {name: values[::3] for name, values in columns.items()})
-    for path in (holes, coarse):
-        found = figures(path, *SPLIT)
-        assert found["mean"]["reduction_rmse"] > 0.6
-        assert found["false_alarms"] == 0
 
 
 @pytest.mark.parametrize(
@@ -297,26 +244,6 @@ def test_bad_usage_ends_with_a_sentence_and_status_2(
     assert sentence in result.stderr
 
 
-def test_mostly_missing_displacements_are_named(tmp_path: Path) -> None:
-    columns = table()
-    columns["c2"][:400] = np.nan
-    result = invoke(write(tmp_path / "bad.csv", columns), *SPLIT)
-    assert (result.exit_code, "column c2 misses 83% of them" in result.stderr) == (2, True)
-
-
-@pytest.mark.parametrize(
-    ("text", "fault"),
-    [
-        ("stuck:t1@36h", Fault(kind="stuck", sensor="t1", at_hours=36.0)),
-        ("open:a:b@1.5h", Fault(kind="open", sensor="a:b", at_hours=1.5)),
-        ("step:each:5degC@36h", Fault(kind="step", sensor="each", at_hours=36.0, amount=5.0)),
-        ("drift:t2:-0.5degC/h@36h", Fault(kind="drift", sensor="t2", at_hours=36.0, amount=-0.5)),
-    ],
-)
-def test_a_fault_is_read_from_its_text(text: str, fault: Fault) -> None:
-    assert parse_fault(text) == fault
-
-
 @pytest.mark.parametrize("model", MODELS)
 def test_a_family_is_trained_into_a_file(recording: Path, tmp_path: Path, model: str) -> None:
     output = tmp_path / "m.json"
@@ -332,12 +259,6 @@ def test_a_family_is_trained_into_a_file(recording: Path, tmp_path: Path, model:
     assert made.sensor_ids == (1, 2, 3, 4)
 
 
-def test_a_family_takes_no_options_of_the_increments(recording: Path, tmp_path: Path) -> None:
-    arguments = ["thermal", "train", str(recording), "--model", "pls", "--b0", "-o", str(tmp_path / "m.json")]
-    result = CliRunner().invoke(main, arguments)
-    assert (result.exit_code, "--model chooses by itself" in result.stderr) == (2, True)
-
-
 @pytest.mark.parametrize("method", ["forward", "lasso", "clusters"])
 def test_sensors_are_compared_on_what_is_left_out(recording: Path, method: str) -> None:
     arguments = ["thermal", "sensors", str(recording), "--method", method, "--most", "3", "--json", "-"]
@@ -347,8 +268,3 @@ def test_sensors_are_compared_on_what_is_left_out(recording: Path, method: str) 
     assert [step["count"] for step in found["selected"]] == [1, 2, 3]
     assert {price["sensor"] for price in found["prices"]} == {"t1", "t2", "t3", "t4"}
     assert found["folds"] == "cycle"
-
-
-def test_a_run_that_is_given_twice_is_refused(recording: Path) -> None:
-    result = invoke(recording, str(recording), "--leave-out-runs")
-    assert (result.exit_code, "give each run once" in result.stderr) == (2, True)

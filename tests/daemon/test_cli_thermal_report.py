@@ -10,10 +10,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from daemon.cli import main
-from daemon.workbench.thermal.estimates import RecordedEstimates
-from drivers.files.recording_csv import read_recording, write_recording
-from drivers.files.recording_origin import Origin, read_origin
-from models.thermal.family import model_from_json
+from drivers.files.recording_csv import write_recording
 from models.thermal.features import lag_table
 
 STOPS_MIN = (300, 420, 960)
@@ -101,15 +98,6 @@ def test_a_model_takes_most_of_it_away(family: str, recording: Path, tmp_path: P
     assert report(training, "--model", model)["seen_in_training"]
 
 
-def test_estimates_from_any_row_are_the_difference_of_two_estimates(recording: Path, tmp_path: Path) -> None:
-    model_path = tmp_path / "model.json"
-    assert run("train", recording, "--ridge", 1.0, "-o", model_path).exit_code == 0
-    read = read_recording(recording)
-    estimates = RecordedEstimates(model_from_json(model_path.read_text("utf-8"), "m"), read)
-    whole, part = estimates.since_um("Z1", 0, 600), estimates.since_um("Z1", 200, 600)
-    assert part == pytest.approx(whole[200:] - whole[200], abs=1e-9)
-
-
 def test_a_short_gap_is_bridged_and_a_long_one_is_named(recording: Path, tmp_path: Path) -> None:
     model_path = tmp_path / "model.json"
     assert run("train", recording, "--ridge", 1.0, "-o", model_path).exit_code == 0
@@ -130,17 +118,6 @@ def test_a_short_gap_is_bridged_and_a_long_one_is_named(recording: Path, tmp_pat
     assert any("column T2, row 101: 850 degC cannot be (5 such values" in warning for warning in short["warnings"])
     refused = run("report", without_t2(range(100, 150)), "--model", model_path)
     assert refused.exit_code == 2 and "column T2, row 101 of its averages: the model needs a value" in refused.output
-
-
-def test_without_speed_nobody_knows_whether_the_spindle_stood(recording: Path, tmp_path: Path) -> None:
-    without_speed = tmp_path / "map.yaml"
-    without_speed.write_text('time: t\ntemperatures: ["T*"]\ndisplacements: [Z1]\n', encoding="utf-8")
-    found = report(recording, "--map", without_speed)
-    assert found["environment"]["why_not"].startswith("no spindle speed was recorded")
-    assert found["channels"]["Z1"]["worst_without"]["environmental_temperature_variation_error_um"] is None
-    assert found["energy"]["chiller_kwh"]["idle_reduction"] is None
-    standing = report(recording, "--map", without_speed, "--standing")
-    assert standing["channels"]["Z1"]["worst_without"]["environmental_temperature_variation_error_um"] > 25.0
 
 
 def test_energy_with_the_chiller_on_reduced_and_off(recording: Path) -> None:
@@ -167,11 +144,3 @@ def test_bad_input_is_one_sentence(recording: Path, tmp_path: Path) -> None:
     ):
         result = run("report", *arguments)
         assert (result.exit_code, sentence in result.output) == (2, True), result.output
-
-
-def test_the_origin_of_a_recording_is_read_from_its_file(tmp_path: Path) -> None:
-    path = tmp_path / "day.csv"
-    path.write_text("# campaign: a\n# machine: mill 7\nutc,T1,Z1\n2026-03-01T08:00:00,20,0\n2026-03-01T08:01:00,20,0\n")
-    assert read_origin(path) == Origin(machine="mill 7", begun_utc_s=1772352000.0)
-    path.write_text("t,T1,Z1\n0,20,0\n60,20,0\n")
-    assert read_origin(path) == Origin(machine="", begun_utc_s=None)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from control_rig import ENABLE, SEQUENCE_A, SEQUENCE_B, VALID_UNTIL, HandClock, Z, machine
+from control_rig import ENABLE, SEQUENCE_A, SEQUENCE_B, HandClock, Z, machine
 from memory_cnc import MemoryNc
 
 from daemon.cnc.audited_write import AuditedWriter
@@ -112,13 +112,6 @@ async def test_the_sequence_goes_on_from_the_controls_and_starts_again_at_the_en
     assert [(await desk.write(session)).sequence for _ in range(3)] == [LAST_SEQUENCE, 1, 2]
 
 
-async def test_with_all_bits_0_valid_until_is_no_promise(desk):
-    session = desk.session()
-    await session.poll()
-    await desk.write(session, 0.0, (False, False, False))
-    assert desk.nc.macros.get(VALID_UNTIL) == 0.0 and not session.enabled
-
-
 @pytest.mark.parametrize(
     ("error", "outcome"),
     [
@@ -151,19 +144,6 @@ async def test_after_a_lost_write_the_next_session_accepts_old_or_new_and_nothin
     assert len(second.known[Z]) == 1, "what was found is now known"
     desk.nc.macros.set(Z, 0.0015)
     assert any(f"#{Z} holds 0.0015" in problem for problem in await second.poll())
-
-
-async def test_many_lost_writes_do_not_widen_what_is_accepted(desk):
-    session = desk.session()
-    await session.poll()
-    for number in range(1, 50):
-        z_um = number / 10
-        desk.nc.groups_until_lost = number % 3
-        with pytest.raises(LinkError):
-            await desk.write(session, z_um)
-        session = desk.session(session.known)
-        assert await session.poll() == []
-        assert all(len(values) <= 1 for values in session.known.values()), "none: what was vacant"
 
 
 @pytest.mark.parametrize("groups", [0, 1, 2, None])

@@ -1,7 +1,6 @@
 """What a commissioning finds wrong, and how it leaves the machine: over real OPC UA."""
 
 import asyncio
-import itertools
 import os
 import signal
 from pathlib import Path
@@ -102,13 +101,6 @@ async def test_an_instrument_that_does_not_come_back_proves_nothing(bench):
     assert bench.at_rest()
 
 
-async def test_without_a_reading_nothing_is_proved(bench):
-    person = Person(bench)
-    person.eyes = lambda axis: None
-    assert "no reading" in await refused(bench, person, axes=("z",))
-    assert bench.at_rest()
-
-
 # --- the displacement channel ----------------------------------------------------------
 
 
@@ -169,15 +161,6 @@ async def test_a_displacement_channel_reads_unless_it_is_noisy(bench, tmp_path, 
     assert bench.at_rest()
 
 
-async def test_a_channel_that_does_not_exist_or_says_nothing_is_refused(bench, tmp_path):
-    assert "no displacement channel Q9" in await refused(bench, sources=Sources(channels={"z": "Q9"}))
-    path = tmp_path / "silent.csv"
-    path.write_text("time,Y1,Y2,Z1,Z2,Z3\n", encoding="utf-8")
-    work = {"axes": ("z",), "sources": Sources(channels={"z": "Z1"}), "change": with_log(path), "patience_s": 10.0}
-    assert "0 of 10 samples" in await refused(bench, **work)
-    assert bench.at_rest()
-
-
 # --- the guard -------------------------------------------------------------------------
 
 
@@ -189,14 +172,6 @@ async def test_a_guard_that_is_never_called_moves_nothing(bench):
     assert "Nothing has been moved" in person.text_said
     assert bench.at_rest()
     assert {value for write in bench.writes() for _, value in write.macros} <= {0.0}, "only initialised"
-
-
-async def test_a_person_who_calls_the_guard_by_hand_commissions(bench):
-    bench.reset(program=STOPPED)
-    person = Obedient(bench)
-    record = await bench.commission(person, axes=("z",))
-    assert record is not None and list(record.axes) == ["z"]
-    assert bench.at_rest()
 
 
 async def test_a_guard_that_makes_no_check_is_refused_before_anything_moves(bench, monkeypatch):
@@ -248,33 +223,6 @@ async def test_a_guard_that_stops_being_called_with_an_offset_applied_is_left_an
     assert await bench.commission(again, axes=("z",)) is not None
     assert any("still applies an offset" in question for question in again.asked)
     assert bench.at_rest()
-
-
-async def test_offset_larger_than_the_guards_step_goes_in_legs(bench):
-    person = Person(bench)
-    record = await bench.commission(person, axes=("y",), offset_um=12.0)
-    assert record is not None and record.axes["y"].measured_um == pytest.approx(12.0, abs=0.06)
-    steps = [write.compensation_um["y"] or 0.0 for write in bench.writes() if write.compensation_um]
-    assert max(steps) == 12.0
-    assert max(abs(b - a) for a, b in itertools.pairwise(steps)) <= 5.0 + 1e-9
-    assert bench.at_rest()
-
-
-async def test_the_block_stays_valid_while_a_person_takes_his_time(bench):
-    person = Person(bench)
-    validity_s = bench.configuration().compensation.output.validity_s
-    seen = []
-
-    async def slowly(question: str) -> float | None:
-        if bench.machine.guard.applied_um["z"] > 4.9 and not seen:
-            await bench.clock.sleep(1.3 * validity_s)
-            valid_until_s, status = bench.macro(120), bench.macro(515)
-            seen.append((valid_until_s is not None and valid_until_s > bench.clock_s, status))
-        return await Person.number(person, question)
-
-    person.number = slowly
-    assert await bench.commission(person, axes=("z",)) is not None
-    assert seen == [(True, 0.0)]
 
 
 async def test_a_reading_while_the_axis_is_not_where_it_was_asked_to_be_is_refused(bench):

@@ -5,7 +5,6 @@ import json
 import os
 import re
 from html.parser import HTMLParser
-from pathlib import Path
 
 import pytest
 import yaml
@@ -15,27 +14,20 @@ from hypothesis import strategies as st
 from shipped_machine import shipped_machine
 from terminal import Terminal
 
-from config.loader import load_configuration
 from config.machines import shipped_file
 from config.records.commissioning import (
     PROOF_TOLERANCE,
     AxisReadings,
     CommissionedAxis,
     CommissioningRecord,
-    load_commissioning,
     macro_map_digest,
 )
-from config.schema.cnc_drivers import OpcUaConfig
 from daemon.cli.admin.commission import commission
 from daemon.commissioning.dialogue import TerminalDialogue
 from daemon.commissioning.initialising import CommissioningRefusedError
 from daemon.commissioning.judgement import judge
-from daemon.commissioning.movement import GUARD_SAYS
 from daemon.commissioning.readings import Instruments, Moment, Reading
 from daemon.commissioning.report import record_digest, report_html
-from daemon.commissioning.session import hand_over, with_secrets
-from drivers.guard.programs import guard_program
-from drivers.guard.text import GuardStatus
 
 CONFIGURATION = shipped_machine()
 
@@ -74,17 +66,6 @@ def test_what_proves_nothing_is_refused_with_its_cause(readings, words):
     assert words in str(error.value) and "axis z" in str(error.value)
 
 
-def test_a_steady_drift_is_taken_out():
-    found = judge("z", 5.0, taken(10.0, 15.4, 10.8))
-    assert (found.sign, found.scale, found.measured_um) == (1, 1.0, 5.0)
-
-
-def test_a_negative_offset_proves_the_same():
-    assert judge("z", -5.0, taken(0.0, -5.1, 0.0)).sign == 1
-    with pytest.raises(CommissioningRefusedError, match="doubles"):
-        judge("z", -5.0, taken(0.0, 5.1, 0.0))
-
-
 def test_a_scale_outside_every_machine_is_not_accepted_by_anybody():
     with pytest.raises(CommissioningRefusedError, match=r"25\.4"):
         judge("z", 5.0, taken(0.0, 127.0, 0.0), accept_scale=True)
@@ -106,10 +87,6 @@ def test_only_a_right_movement_passes(offset_um, ratio, zero_um):
     else:
         assert abs(ratio - 1.0) < PROOF_TOLERANCE + 1e-3
         assert (found.sign, found.scale) == (1, 1.0)
-
-
-def test_every_refusal_of_the_guard_is_explained():
-    assert {GuardStatus.APPLIED, GuardStatus.DISABLED} | set(GUARD_SAYS) == set(GuardStatus)
 
 
 # --- report ----------------------------------------------------------------------------
@@ -184,16 +161,6 @@ def test_the_report_is_whole_and_harmless():
     assert "does not fit" not in page.text
 
 
-def test_the_report_of_a_record_for_another_map_says_so():
-    text = Page(report_html(record(macro_map_sha256="0" * 64), CONFIGURATION)).text
-    assert "does not fit the present configuration" in text
-
-
-def test_the_digest_follows_the_content():
-    assert record_digest(record()) == record_digest(record())
-    assert record_digest(record()) != record_digest(record(person="B"))
-
-
 # --- dialogue --------------------------------------------------------------------------
 
 
@@ -247,47 +214,10 @@ async def test_readings_that_were_typed_before_they_were_asked_for_do_not_count(
         assert "What was typed before this question does not count." in said
 
 
-async def test_half_a_line_that_was_typed_before_is_no_beginning_of_the_answer(capsys, terminal):
-    dialogue = TerminalDialogue(consent=False, descriptor=terminal.inside)
-    terminal.type_ahead("4")
-    assert (await asked(capsys, dialogue.number("um?"), "5\n", answer=terminal.type))[0] == 5.0
-
-
 async def test_a_confirmation_that_was_typed_before_its_question_is_none(capsys, terminal):
     dialogue = TerminalDialogue(consent=False, descriptor=terminal.inside)
     terminal.type_ahead("y\ny\n")
     assert (await asked(capsys, dialogue.confirm("overwrite?"), "n\n", answer=terminal.type))[0] is False
-
-
-async def test_lines_in_a_pipe_that_were_there_before_do_not_count(capsys):
-    reading, writing = os.pipe()
-    os.write(writing, b"0.2\n2.3\n0.25\n")
-    dialogue = TerminalDialogue(consent=False, descriptor=reading)
-    found, _ = await asked(capsys, dialogue.number("um?"), b"5\n", answer=lambda line: os.write(writing, line))
-    assert found == 5.0
-    os.write(writing, b"y\n")
-    os.close(writing)
-    with pytest.raises(CommissioningRefusedError, match="does not count"):
-        await dialogue.confirm("go?")
-    os.close(reading)
-
-
-async def test_an_input_that_never_ends_is_refused():
-    with Path("/dev/zero").open("rb") as endless, pytest.raises(CommissioningRefusedError, match="does not end"):
-        await TerminalDialogue(consent=False, descriptor=endless.fileno()).confirm("go?")
-
-
-async def test_waiting_for_a_person_lets_everything_else_go_on():
-    reading, writing = os.pipe()
-    dialogue = TerminalDialogue(consent=False, descriptor=reading)
-    waiting = asyncio.create_task(dialogue.text("name:"))
-    await asyncio.sleep(0.2)
-    assert not waiting.done()
-    waiting.cancel()
-    with pytest.raises(asyncio.CancelledError):
-        await waiting
-    os.close(writing)
-    os.close(reading)
 
 
 async def test_general_consent_covers_steps_but_no_foreign_values():
@@ -313,16 +243,6 @@ def machine_file(tmp_path, **compensation):
 
 def run(*arguments):
     return CliRunner().invoke(commission, [str(argument) for argument in arguments])
-
-
-def test_check_says_what_a_record_covers_and_makes_the_report_anew(tmp_path):
-    record_file = shipped_file("simulated_machine_commissioning.json")
-    path = machine_file(tmp_path, commissioning_file=str(record_file))
-    report = tmp_path / "report.html"
-    found = run("--config", path, "--check", "--report", report)
-    assert found.exit_code == 0, found.output
-    assert "guard version 2" in found.output and "axis z: +10 um moved it by +10.00 um" in found.output
-    assert record_digest(load_commissioning(record_file)) in report.read_text(encoding="utf-8")
 
 
 def test_check_says_what_a_record_does_not_cover(tmp_path):
@@ -387,48 +307,3 @@ async def test_a_reading_given_beforehand_counts_only_once_a_person_has_seen_it(
         await asked(capsys, seen.take("z", Moment.AT_OFFSET, ("z",)), "n\n", answer=terminal.type)
     with pytest.raises(CommissioningRefusedError, match="no person has confirmed 0 um"):
         await instruments(TerminalDialogue(consent=True)).take("z", Moment.BEFORE, ("z",))
-
-
-def test_secrets_come_from_a_folder_where_there_is_no_service(tmp_path):
-    configured = machine_file(tmp_path)
-    content = yaml.safe_load(configured.read_text(encoding="utf-8"))
-    run_folder = "/run/credentials/toolpoint.service"
-    content["cnc"]["opcua"]["security"] = {
-        "user_name": "toolpoint",
-        "password_file": f"{run_folder}/cnc-password",
-        "certificate": "/etc/toolpoint/pki/a.der",
-        "private_key": f"{run_folder}/key.pem",
-        "server_certificate": "/etc/toolpoint/pki/b.der",
-    }
-    configured.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-    configuration = load_configuration(configured)
-    (tmp_path / "cnc-password").write_text("secret", encoding="utf-8")
-    with pytest.raises(CommissioningRefusedError, match=r"key\.pem is not there"):
-        with_secrets(configuration, tmp_path)
-    (tmp_path / "key.pem").write_text("key", encoding="utf-8")
-    security = with_secrets(configuration, tmp_path).cnc.connection_as(OpcUaConfig).security
-    assert security is not None
-    assert (security.password_file, security.private_key) == (tmp_path / "cnc-password", tmp_path / "key.pem")
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
-def test_what_root_has_made_belongs_to_the_folders_owner(tmp_path):
-    state = tmp_path / "state"
-    state.mkdir()
-    os.chown(state, 4242, 4243)
-    for name in ("history.sqlite", "history.sqlite-wal", "other"):
-        (state / name).touch()
-    hand_over(state / "history.sqlite")
-    owners = {path.name: (path.stat().st_uid, path.stat().st_gid) for path in state.iterdir()}
-    assert owners == {"history.sqlite": (4242, 4243), "history.sqlite-wal": (4242, 4243), "other": (0, 0)}
-
-
-def test_a_guard_that_is_not_the_configured_one_is_recorded_and_said(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    configured, loaded = machine_file(tmp_path), tmp_path / "loaded.nc"
-    text = guard_program(load_configuration(configured))
-    arguments = ["--config", configured, "--record", "R", "--yes", "--person", "A", "--guard-program", loaded]
-    loaded.write_text(text, encoding="ascii")
-    assert "differs" not in run(*arguments).output
-    loaded.write_text(text.replace("G53", "G4"), encoding="ascii")
-    assert "differs from what `toolpoint guard` prints" in run(*arguments).output

@@ -6,7 +6,6 @@ import pytest
 import pytest_asyncio
 from commissioning_bench import Bench, Person, refused, serving
 
-from daemon.history.store_lock import WriterLock
 from daemon.monitor.control_socket import ControlSocket
 from models.records import WriteOutcome
 
@@ -62,11 +61,6 @@ async def test_a_running_daemon_is_left_alone(bench):
         await asyncio.gather(serving_socket, return_exceptions=True)
 
 
-async def test_a_store_that_has_a_writer_is_left_alone(bench):
-    with WriterLock(bench.store):
-        assert "writes this store" in await refused(bench)
-
-
 @pytest.mark.parametrize(
     ("state", "words"),
     [
@@ -92,12 +86,3 @@ async def test_an_insecure_connection_and_a_wrong_offset_are_refused(bench):
     assert "too small" in await refused(bench, offset_um=1.0)
     assert "no whole number" in await refused(bench, offset_um=4.55)
     assert "outside its absolute bound" in await refused(bench, offset_um=31.0)
-
-
-async def test_a_no_ends_it(bench):
-    person = Person(bench)
-    person.denies = "Is this the control"
-    assert "you said no" in await refused(bench, person)
-    person.denies = "in place"
-    assert "you said no" in await refused(bench, person)
-    assert bench.at_rest()

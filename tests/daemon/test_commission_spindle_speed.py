@@ -9,7 +9,6 @@ import pytest_asyncio
 from commissioning_bench import Bench, Person, refused, serving
 from speed_machine import MACROS, speed_machine
 
-from daemon.cnc.write_ahead import WriteAheadRecord
 from models.records import WriteOutcome
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -64,12 +63,3 @@ async def test_foreign_ones_are_left_alone_unless_a_person_says_so(bench: Bench,
     assert bench.macro(MACROS.speed) == 9999.0
     await bench.commission(Person(bench), change=tuned, initialise_only=True)
     assert bench.macro(MACROS.speed) == 0.0
-
-
-async def test_what_the_daemon_has_written_is_known(bench: Bench, tuned: Callable) -> None:
-    for number in MACROS.ours:
-        bench.machine.nc.macros.set(number, 0.0)
-    bench.machine.nc.macros.set(MACROS.speed, 9400.0)
-    WriteAheadRecord.of_speed(bench.store).keep({MACROS.speed: (9200.0, 9400.0)})
-    await bench.commission(Person(bench), change=tuned, initialise_only=True)
-    assert bench.macro(MACROS.speed) == 9400.0

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import gc
 import resource
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -106,44 +105,6 @@ async def test_half_said_requests_on_the_control_socket_are_bounded_and_others_a
             assert 0 < own_ends(path) <= connections.MOST_CONNECTIONS + 5
             await ended(peers)
     assert 0 < len(logs) <= FLOOD_REPORTS
-
-
-async def test_connections_that_came_at_once_are_closed_although_no_garbage_is_collected(tmp_path: Path) -> None:
-    """All wait to be taken when the daemon comes to it; most are ended before their task has begun."""
-    path = tmp_path / "s"
-    gc.disable()
-    try:
-        async with running(ControlSocket(path, None, status).run):
-            with contextlib.ExitStack() as peers:
-                for _ in range(60):
-                    peer = peers.enter_context(socket.socket(socket.AF_UNIX))
-                    peer.connect(str(path))
-                    peer.sendall(b"{")
-                client = await asyncio.to_thread(ControlClient, path)
-                await asyncio.to_thread(client.ask, "status")
-                client.close()
-                assert 0 < own_ends(path) <= connections.MOST_CONNECTIONS + 5
-    finally:
-        gc.enable()
-
-
-async def test_a_request_under_way_is_not_ended_for_those_who_come_after_it(tmp_path: Path) -> None:
-    path, begun, go_on = tmp_path / "s", asyncio.Event(), asyncio.Event()
-
-    async def slow(request: dict[str, Any], person: str) -> dict[str, Any]:
-        begun.set()
-        await go_on.wait()
-        return {"answer": 42}
-
-    async with running(ControlSocket(path, None, slow).run):
-        client = await asyncio.to_thread(ControlClient, path)
-        asking = asyncio.ensure_future(asyncio.to_thread(client.ask, "enable"))
-        await begun.wait()
-        peers = await half_said(lambda: asyncio.open_unix_connection(path), b"{")
-        go_on.set()
-        assert await asking == {"answer": 42}
-        client.close()
-        await ended(peers)
 
 
 @pytest.mark.parametrize("words", [b"{", b'{"command": "status"'])

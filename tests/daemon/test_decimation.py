@@ -13,9 +13,7 @@ from hypothesis.extra.numpy import arrays
 
 from config.schema.service import HistoryConfig
 from daemon.history import HistoryWriter, housekeeping
-from daemon.history.columns.frames import frame_from_rows
-from daemon.history.columns.kinds import KINDS
-from daemon.history.columns.packing import decode_extremes, frame_extremes, temperature_extremes
+from daemon.history.columns.packing import decode_extremes, temperature_extremes
 from daemon.history.columns.temperature_chunks import CycleBlock
 from daemon.history.decimation import COARSE_S, Buckets, SeriesError, SeriesReader, check_names, decimated
 from models.quality import Quality
@@ -88,46 +86,12 @@ def test_days_come_from_the_extremes_and_leave_no_peak_out(store, packed):
         assert np.all(coarse[name].mean <= coarse[name].greatest + 1e-4)
 
 
-def test_a_store_of_a_version_without_extremes_gets_them_and_is_read_meanwhile(packed, tmp_path):
-    path = tmp_path / "history.sqlite"
-    path.write_bytes(packed.read_bytes())
-    with closing(sqlite3.connect(path)) as connection:
-        before = connection.execute("SELECT kind, layout_id, hour_ms, chunk_id FROM extremes").fetchall()
-        connection.execute("DELETE FROM extremes")
-        connection.commit()
-    names = ["temperature.12", "spindle_speed"]
-    without = ask(path, names, EPOCH_S, END_S, 20)
-    report = housekeeping(path, HistoryConfig(), END_S)
-    assert report.packed_hours == 0
-    with closing(sqlite3.connect(path)) as connection:
-        assert connection.execute("SELECT kind, layout_id, hour_ms, chunk_id FROM extremes").fetchall() == before
-    coarse = ask(path, names, EPOCH_S, END_S, 20)
-    for name in names:
-        assert coarse[name].least.min() == pytest.approx(without[name].least.min(), abs=1e-4)
-
-
-def test_extremes_go_with_what_they_belong_to(packed, tmp_path):
-    path = tmp_path / "history.sqlite"
-    path.write_bytes(packed.read_bytes())
-    housekeeping(path, HistoryConfig(keep_temperatures_days=2.0), END_S + 86400.0)
-    with closing(sqlite3.connect(path)) as connection:
-        oldest = connection.execute("SELECT min(hour_ms) FROM extremes WHERE kind = 'temperatures'").fetchone()[0]
-        kept = connection.execute("SELECT min(hour_ms) FROM extremes WHERE kind = 'cnc'").fetchone()[0]
-    assert oldest >= (END_S - 86400.0 - 3600.0) * 1e3 > kept
-
-
 @pytest.mark.parametrize(
     "name", ["", "temperature", "temperature.x", "temperature.٣", "estimated", "nothing.Z1", "a" * 99]
 )
 def test_a_series_that_cannot_be_is_named(name):
     with pytest.raises(SeriesError, match="there is no series"):
         check_names([name])
-
-
-def test_a_series_without_values_is_empty(packed):
-    for points in (20, 4000):
-        found = ask(packed, ["temperature.999", "estimated.Z1", "written.q"], EPOCH_S, END_S, points)
-        assert all(each.t.size == 0 for each in found.values())
 
 
 def test_a_query_can_be_broken_off(packed):
@@ -139,13 +103,6 @@ def test_a_query_can_be_broken_off(packed):
 
     with SeriesReader(packed) as reader, pytest.raises(Enough):
         decimated(reader, ["temperature.12"], EPOCH_S, END_S, 4000, enough)
-
-
-def test_a_value_just_before_the_first_bucket_is_in_none():
-    """Divided by the width, so small a time is 0."""
-    buckets = Buckets(from_s=0.0, width_s=50.0, count=2)
-    buckets.add(np.array([-5e-324, 0.0]), np.array([0.0, 1.0]))
-    assert buckets.series().least.tolist() == [1.0]
 
 
 @given(
@@ -187,10 +144,3 @@ def test_extremes_of_temperatures_come_back(counts, bad):
         if good.size:
             expected = [good.min(), good.max(), good.mean()]
             np.testing.assert_allclose(found.table[:3, column], expected, rtol=1e-6, atol=1e-5)
-
-
-def test_a_kind_without_numbers_to_show_has_no_extremes():
-    kind = KINDS["writes"]
-    row = [None if name not in ("write_id", "utc_ms", "monotonic_ms", "outcome") else 1 for name in kind.names]
-    row[kind.names.index("cause")], row[kind.names.index("macros")] = "x", "{}"
-    assert frame_extremes(kind, frame_from_rows(kind, kind.names, [row])) == b""

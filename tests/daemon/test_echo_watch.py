@@ -76,50 +76,6 @@ def test_a_value_that_already_stood_there_needs_a_run_of_the_guard_too():
     assert w.delays["samples"] == 1
 
 
-def test_a_guard_that_refused_has_not_taken_over():
-    w = Watched()
-    w.wrote(8.0, at_s=100.0, echo_now=echo(8.0, 50.0))
-    w.watch.seen(echo(8.0, 120.0, status=3), at(120.5))
-    assert w.delays["samples"] == 0
-
-
-def test_ticks_carry_the_request_further_and_keep_its_cycle():
-    w = Watched()
-    w.wrote(2.0, at_s=100.0, echo_now=echo(0.0, 50.0))
-    w.wrote(4.0, at_s=101.0, echo_now=echo(0.0, 50.0), line=None)
-    w.watch.seen(echo(2.0, 120.0), at(120.5))
-    assert w.delays["samples"] == 0, "the value of before the tick"
-    w.watch.seen(echo(4.0, 121.0), at(121.5))
-    assert w.delays["max"] == 21.5
-    assert w.superseded == 0.0
-
-
-def test_a_newer_estimate_supersedes_and_an_equal_one_does_not():
-    w = Watched()
-    w.wrote(2.0, at_s=100.0, echo_now=echo(0.0, 50.0))
-    w.wrote(2.0, at_s=110.0, echo_now=echo(0.0, 50.0))
-    w.wrote(3.0, at_s=120.0, echo_now=echo(0.0, 50.0), line="column")
-    assert w.superseded == 1.0
-    w.watch.seen(echo(3.0, 130.0), at(130.5))
-    assert w.delays["samples"] == 1 and w.delays["max"] == 10.5
-    assert w.telemetry.latest[0] == "column"
-
-
-def test_switching_off_ends_the_wait():
-    w = Watched()
-    w.wrote(2.0, at_s=100.0, echo_now=echo(0.0, 50.0))
-    w.wrote(0.0, at_s=101.0, echo_now=echo(0.0, 50.0), line=None, on=False)
-    w.watch.seen(echo(2.0, 130.0), at(130.5))
-    assert w.delays["samples"] == 0 and w.superseded == 1.0
-
-
-def test_a_tick_alone_is_nobodys_cycle():
-    w = Watched()
-    w.wrote(2.0, at_s=100.0, echo_now=echo(0.0, 50.0), line=None)
-    w.watch.seen(echo(2.0, 130.0), at(130.5))
-    assert w.delays["samples"] == 0
-
-
 def test_the_audit_gets_the_trace_of_the_estimate_whose_value_was_taken_over():
     w, recorded = Watched(), []
     w.watch = EchoWatch(w.telemetry, record=lambda write_id, trace: recorded.append((write_id, trace.echoed)))

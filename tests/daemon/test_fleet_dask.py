@@ -7,11 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from sisters import few_sensors, write_configuration, write_sister
 
 from config.recordings.machine_map import MachineFiles
-from daemon.cli import main
 from daemon.workbench.thermal.fleet import FleetError, fleet_executor, train_fleet
 
 pytest.importorskip("distributed", reason="Dask is not installed here (toolpoint[dask])")
@@ -67,26 +65,3 @@ def test_a_cluster_whose_workers_end_or_whose_scheduler_goes_is_said() -> None:
             mapped(executor, os._exit, [1], lambda done: None)
         with pytest.raises(FleetError, match="connection to the Dask scheduler was lost while machine 2 of 3"):
             mapped(executor, time.sleep, [0.1, 5.0, 5.0], lambda done: cluster.close())
-
-
-def test_a_scheduler_that_is_not_there_is_refused_with_its_address() -> None:
-    with (
-        pytest.raises(FleetError, match="--dask nonsense://here: there is no Dask scheduler"),
-        fleet_executor(1, "nonsense://here"),
-    ):
-        pass
-
-
-def test_a_worker_process_that_ends_is_said(machines: list[MachineFiles]) -> None:
-    from daemon.workbench.thermal.fleet import mapped
-
-    with (
-        fleet_executor(2, None) as executor,
-        pytest.raises(FleetError, match=r"a worker ended while machine 1 of 1 .* use fewer --workers"),
-    ):
-        mapped(executor, os._exit, [1], lambda done: None)
-
-
-def test_the_command_says_how_the_work_is_shared_out() -> None:
-    said = CliRunner().invoke(main, ["fleet", "train", "--help"]).output
-    assert "--dask ADDRESS" in said and "--workers" in said

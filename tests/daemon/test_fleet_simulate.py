@@ -12,8 +12,7 @@ from postgresql import PASSWORD, Server, postgresql
 from daemon.cli import main
 from daemon.simulation import SimulationError
 from daemon.simulation.fleet.counting import count_rows
-from daemon.simulation.fleet.machines import FleetPlan
-from daemon.simulation.fleet.run import SINK, _counted, broker_of, database_of, plan_of, route_of, simulate_fleet
+from daemon.simulation.fleet.run import SINK, broker_of, plan_of, route_of, simulate_fleet
 
 
 @pytest.fixture(scope="module")
@@ -83,40 +82,6 @@ def test_the_command_says_what_arrived(server: Server, tmp_path: Path) -> None:
 def test_a_database_that_cannot_be_used_is_refused(dsn: str, said: str) -> None:
     done = CliRunner().invoke(main, ["fleet", "simulate", "--postgres", dsn])
     assert done.exit_code == 2 and said in done.output
-
-
-def test_a_database_that_the_sinks_will_not_reach_is_refused_at_once(server: Server, tmp_path: Path) -> None:
-    """It was waited for in silence for five minutes: the command's own connection reads files that sinks do not."""
-    (tmp_path / "pgpass").write_text(f"*:*:*:*:{PASSWORD}\n")
-    (tmp_path / "pgpass").chmod(0o600)
-    dsn = f"host=127.0.0.1 port={server.port} dbname=toolpoint user=toolpoint passfile={tmp_path / 'pgpass'}"
-    done = CliRunner().invoke(main, ["fleet", "simulate", "--machines", "1", "--postgres", dsn])
-    assert done.exit_code == 2 and "must stand in the DSN" in done.output
-
-
-def test_the_environment_says_what_the_dsn_does_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in {"HOST": "db", "PORT": "6543", "USER": "anna", "DATABASE": "mill", "PASSWORD": "a b"}.items():
-        monkeypatch.setenv(f"PG{name}", value)
-    found = database_of("dbname=plant", tmp_path)
-    assert (found.host, found.port, found.user_name, found.database) == ("db", 6543, "anna", "plant")
-    assert found.password_file is not None and found.password_file.read_text("utf-8") == "a b"
-
-
-def test_a_run_of_one_cycle_tells_a_delay_too() -> None:
-    plan = FleetPlan(folder=Path("f"), machines=1, minutes=0.01, speed=1.0, start_utc_s=0.0)
-    assert plan.cycles == 2, "the first is recorded before the senders begin"
-
-
-def test_a_database_that_is_gone_at_the_end_is_said(tmp_path: Path) -> None:
-    plan = FleetPlan(folder=tmp_path, machines=1, minutes=1.0, speed=1.0, start_utc_s=0.0)
-    with pytest.raises(SimulationError, match=r"--postgres: what arrived cannot be counted: .* port 1 failed"):
-        _counted(plan, "host=127.0.0.1 port=1")
-
-
-@pytest.mark.parametrize(("url", "said"), [("mqtt://[::1", "Invalid IPv6"), ("mqtt://@db", "user_name: ")])
-def test_a_brokers_address_that_is_none_is_refused(url: str, said: str) -> None:
-    done = CliRunner().invoke(main, ["fleet", "simulate", "--postgres", "host=127.0.0.1 port=1", "--mqtt", url])
-    assert done.exit_code == 2 and "--mqtt: " in done.output and said in done.output
 
 
 @pytest.mark.parametrize("kind", ["mqtt", "mqtts"])

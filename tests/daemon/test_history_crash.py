@@ -4,7 +4,6 @@ import json
 import os
 import shutil
 import signal
-import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -86,23 +85,6 @@ def test_no_acknowledged_cycle_is_lost_by_a_kill(tmp_path: Path, cycles: int) ->
     assert settled >= set(range(1, int(str(intents[-1]["settled"] or 0))))
 
 
-def test_killed_store_is_taken_up_by_the_next_writer(tmp_path: Path) -> None:
-    store = tmp_path / "history.sqlite"
-    kill_when("cycles", store, lambda so_far: len(so_far) >= 10)
-    writer = HistoryWriter(store, clock=StillClock(), machine=SMALL)
-    macros = writer.last_written_macros()
-    assert macros is not None and len(macros[501]) == 1 and macros[500], "what the CNC may hold is known before start"
-    writer.start()
-    with HistoryReader(store) as reader:
-        (*_, left) = reader.unsettled_writes()
-        last = max(record.write_id for record in reader.writes(0, 2e9))
-    writer.write_outcome(left.write_id, make.receipt(EPOCH_S, left.macros, outcome=WriteOutcome.VERIFIED))
-    assert writer.write_intent(None, ((500, 1.0),), "cycle") == last + 1
-    writer.close()
-    with HistoryReader(store) as reader:
-        assert left.write_id not in {record.write_id for record in reader.unsettled_writes()}
-
-
 @pytest.mark.parametrize("hours", [1, 3, 5])
 def test_kill_while_packing_neither_loses_nor_doubles(tmp_path: Path, hours: int) -> None:
     store = tmp_path / "history.sqlite"
@@ -138,14 +120,6 @@ def assert_survived(said: list[Said], store_text: str) -> None:
     assert said[-1] == {"closed": True, "dropped": {}, "problem_left": ""}
     last_problem = [one for one in said if "problem" in one][-1]
     assert last_problem["problem"] == "", "and it says when it works again"
-
-
-def test_file_size_limit_is_reported_and_outlived(tmp_path: Path) -> None:
-    store = tmp_path / "history.sqlite"
-    said, err = run_to_the_end("limit", store)
-    assert said, err
-    assert_survived(said, "the disk")
-    check_all_cycles(store, said)
 
 
 def check_all_cycles(store: Path, said: list[Said]) -> None:
@@ -190,11 +164,3 @@ def test_what_a_killed_daemon_left_is_read_on_a_full_disk(tmp_path: Path) -> Non
     assert_whole(store)
     with HistoryReader(store) as reader:
         assert [record.write_id for record in reader.unsettled_writes()] == left
-
-
-def test_damaged_database_is_not_taken_for_whole(tmp_path: Path) -> None:
-    store = tmp_path / "history.sqlite"
-    sqlite3.connect(store).close()
-    store.write_bytes(b"SQLite format 3\x00" + os.urandom(8000))
-    with pytest.raises(Exception, match=r"history\.sqlite|malformed|not a database"):
-        assert_whole(store)

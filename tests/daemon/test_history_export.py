@@ -100,38 +100,12 @@ class TestExport:
         assert list(rows[1].values())[2:] == ["bed", "1", "", "", "19.0"]
         assert rows[4]["t12_degc"] == "", "nothing was measured there"
 
-    def test_all_sensors_without_a_choice(self, store: Path) -> None:
-        rows = exported(store, "temperatures")
-        assert [name for name in rows[0] if name.endswith("_degc")] == [f"t{i}_degc" for i in (11, 12, 13, 21, 22)]
-        assert rows[2]["t13_degc"] == "23.0625"
-
-    def test_quality_in_words(self, store: Path) -> None:
-        rows = exported(store, "temperatures", "--sensors", "11,12,21", "--quality")
-        assert (rows[4]["t12_quality"], rows[4]["t12_reason"]) == ("missing", "not received")
-        assert (rows[6]["t11_quality"], rows[6]["t11_reason"]) == ("held", "rate")
-        assert (rows[0]["t11_quality"], rows[0]["t11_reason"]) == ("good", "none")
-        assert (rows[1]["t11_quality"], rows[1]["t11_reason"]) == ("", ""), "the bed's cycle"
-
     def test_cnc_with_macros_that_appear_later(self, store: Path) -> None:
         rows = exported(store, "cnc")
         assert [name for name in rows[0] if name.startswith("macro_")] == ["macro_600", "macro_601"]
         assert [rows[0]["macro_601"], rows[11]["macro_601"], rows[11]["macro_600"]] == ["", "7.0", ""]
         assert (rows[0]["spindle_speed_rpm"], rows[0]["alarm"], rows[0]["mode"]) == ("6000.0", "0", "memory")
         assert rows[0]["clock_s"] == "78.0"
-
-    def test_estimates(self, store: Path) -> None:
-        rows = exported(store, "estimates")
-        assert [row["dx_thermal_error_um"] for row in rows] == [f"{1.0 + k}" for k in range(12)]
-        assert (rows[0]["dy_thermal_error_um"], rows[0]["dz_thermal_error_um"]) == ("", "-0.333")
-        assert (rows[0]["Room_degc"], rows[0]["Room_at_reference_degc"]) == ("21.5", "21.0")
-        assert rows[0]["cycle_time_utc"] == "2025-10-09T09:00:00.000Z"
-        assert float(rows[0]["delay_s"]) == pytest.approx(0.0008)
-
-    def test_displacements(self, store: Path) -> None:
-        rows = exported(store, "displacements")
-        assert (rows[0]["dx_um"], rows[0]["dy_um"]) == ("0.3333333333333333", ""), "exactly as the file had it"
-        assert (rows[0]["dx_reason"], rows[0]["dy_reason"]) == ("none", "overflow")
-        assert rows[0]["source"] == "/srv/logger/today.csv:2"
 
     def test_writes(self, store: Path) -> None:
         rows = exported(store, "writes")
@@ -166,12 +140,6 @@ class TestExport:
         assert absent.exit_code == 2
         assert "cannot be written (No such file or directory)" in absent.stderr
         assert sorted(path.name for path in tmp_path.iterdir()) == ["t.csv"]
-
-    def test_relative_time(self, recent: Path, tmp_path: Path) -> None:
-        output = tmp_path / "c.csv"
-        result = run("export", "--store", recent, "--what", "cnc", "--from", "-3h", "-o", output)
-        assert result.exit_code == 0, result.output
-        assert len(output.read_text().splitlines()) == 13
 
     @pytest.mark.parametrize(
         ("arguments", "words"),
@@ -260,12 +228,6 @@ class TestHistory:
         assert content["writes_without_outcome"] == [12]
         assert content["sensors"] == 5
 
-    def test_summary_for_people(self, store: Path) -> None:
-        result = run("history", "--store", store)
-        assert result.exit_code == 0
-        assert "writes without a known outcome: [12]" in result.stdout
-        assert "2025-10-09T10:50:01Z" in result.stdout
-
     @pytest.mark.parametrize("what", ["writes", "estimates", "cnc", "events"])
     def test_rows_as_json(self, recent: Path, what: str) -> None:
         rows = json.loads(run("history", "--store", recent, what, "--last", "3h", "--json", "-").stdout)
@@ -279,25 +241,6 @@ class TestHistory:
         name, value = expected[what]
         assert rows[0][name] == value
         assert rows[0]["time_utc"] < rows[-1]["time_utc"]
-
-    def test_last_limits_the_rows(self, recent: Path) -> None:
-        rows = json.loads(run("history", "--store", recent, "cnc", "--last", "30m", "--json", "-").stdout)
-        assert 1 <= len(rows) <= 4
-
-    @pytest.mark.parametrize("what", ["writes", "estimates", "cnc", "events"])
-    def test_rows_for_people(self, recent: Path, what: str) -> None:
-        arguments = ["history", "--store", str(recent), what, "--last", "3h", "--limit", "5"]
-        result = CliRunner(env={"COLUMNS": "200"}).invoke(main, arguments)
-        assert result.exit_code == 0, result.output
-        assert f"{what}: 5 of 12 rows" in result.stdout
-        shown = {
-            "writes": ("intended", "verified", "X +0.00  Y +0.33  Z -2.00", "X -  Y +1.50  Z -2.25", "1.6"),
-            "estimates": ("dx +12.00  dy -  dz -0.33", "2.50", "inside", "99%", "ref-1"),
-            "cnc": ("O1234 N100", "6000", "41.0", "G54", "#600=vacant  #601=7"),
-            "events": ("[bold] 11", "somebody"),
-        }
-        for text in shown[what]:
-            assert text in result.stdout, "as it is, not as markup"
 
     @pytest.mark.parametrize("what", ["writes", "estimates", "cnc", "events"])
     def test_in_a_pipe_nothing_is_cut_and_a_record_is_one_line(self, recent: Path, what: str) -> None:
@@ -331,19 +274,6 @@ class TestHistory:
     def test_probes_of_a_store_that_has_none(self, store: Path) -> None:
         result = run("history", "--store", store, "probes")
         assert (result.exit_code, result.stdout) == (0, "No probes in this time; the store has none at all.\n")
-
-    def test_nothing_in_this_time_says_when_there_was_something(self, store: Path) -> None:
-        result = run("history", "--store", store, "events", "--last", "5m")
-        assert (result.exit_code, result.stdout) == (
-            0,
-            "No events in this time; the newest is of 2025-10-09T10:50:02Z.\n",
-        )
-        assert json.loads(run("history", "--store", store, "events", "--json", "-").stdout) == []
-
-    def test_bad_duration(self, store: Path) -> None:
-        result = run("history", "--store", store, "cnc", "--last", "soon")
-        assert result.exit_code == 2
-        assert "'soon' is no length of time; write 90s, 5m, 1h, 2d or 1w" in result.stderr
 
     def test_store_of_the_configuration(self, store: Path, tmp_path: Path) -> None:
         shipped = Path(__file__).resolve().parents[2] / "config" / "cfrpmt.yaml"

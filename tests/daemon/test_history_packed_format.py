@@ -1,7 +1,6 @@
 """The packed format: any integers, floats, rows and temperatures come back as they went in."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,8 +15,6 @@ from daemon.history.columns.codec import (
     decode_integers,
     encode_floats,
     encode_integers,
-    signed_varint,
-    varint,
 )
 from daemon.history.columns.frames import (
     ColumnType,
@@ -28,7 +25,7 @@ from daemon.history.columns.frames import (
     frame_from_rows,
     select_rows,
 )
-from daemon.history.columns.kinds import CNC, CYCLES, KINDS, WRITES, _integers, _numbers
+from daemon.history.columns.kinds import CNC, CYCLES, KINDS
 from daemon.history.columns.temperature_chunks import CycleBlock, decode_temperatures, encode_temperatures
 
 SOME = settings(max_examples=60, deadline=None)
@@ -54,14 +51,6 @@ def test_any_floats_survive_bit_by_bit(values: np.ndarray) -> None:
     number = ~np.isnan(values)
     np.testing.assert_array_equal(np.isnan(found), ~number)
     np.testing.assert_array_equal(found[number].view(np.int64), values[number].view(np.int64))
-
-
-@SOME
-@given(st.integers(0, 2**70), INT64, st.binary(max_size=300))
-def test_elements_of_the_format_survive(natural: int, whole: int, data: bytes) -> None:
-    reader = ByteReader(varint(natural) + signed_varint(whole) + block(data) + b"rest")
-    assert (reader.varint(), reader.signed_varint(), bytes(reader.block())) == (natural, whole, data)
-    assert bytes(reader.rest()) == b"rest"
 
 
 def test_truncated_data_is_refused() -> None:
@@ -127,21 +116,6 @@ def test_joining_frames_joins_their_rows(first: list[tuple[object, ...]], second
     assert rows_back(CNC, encode_frame(CNC, reversed_)) == plain(CNC, (first + second)[::-1])
 
 
-def test_one_column_is_read_with_what_it_is_relative_to() -> None:
-    told = ("memory", "start", 0, 1, 2, 3.0, 4.0, 5.0, 6, 54, 7, '{"600":1}')
-    rows = [(1000 + k, 500 + k, *told, '{"Z_mm":250.5}') for k in range(3)]
-    packed = encode_frame(CNC, frame_from_rows(CNC, CNC.names, rows))
-    frame = decode_frame(CNC, packed, ["monotonic_ms"])
-    assert set(frame.columns) == {"utc_ms", "monotonic_ms"}
-    assert frame.integers("monotonic_ms").tolist() == [500, 501, 502]
-    with pytest.raises(ValueError, match=r"cnc have no columns \['speed'\]"):
-        decode_frame(CNC, packed, ["speed"])
-    before = replace(CNC, columns=CNC.columns[:-1])
-    old = encode_frame(before, frame_from_rows(before, before.names, [row[:-1] for row in rows]))
-    joined = concatenate([decode_frame(CNC, old), decode_frame(CNC, packed)]).mapping("positions_mm")
-    assert joined.row(0) is None and joined.row(3) == {"Z_mm": 250.5}, "hours of a version before have no positions"
-
-
 @st.composite
 def blocks(draw: st.DrawFn) -> CycleBlock:
     shape = (draw(st.integers(1, 40)), draw(st.integers(1, 37)))
@@ -184,24 +158,3 @@ def test_each_way_of_coding_a_series_survives(noise: str) -> None:
     np.testing.assert_array_equal(decode_temperatures(packed, range(20)).counts, content.counts)
     bits = 8 * len(packed) / counts.size
     assert bits < {"none": 0.2, "one step": 2.3, "drift": 2.3}[noise], "packing must pay"
-
-
-def test_unknown_format_is_refused() -> None:
-    packed = encode_frame(CNC, frame_from_rows(CNC, CNC.names, []))
-    with pytest.raises(ValueError, match="packed cnc have format 99"):
-        decode_frame(CNC, b"\x63" + packed[1:])
-    with pytest.raises(ValueError, match="packed temperatures have format 99"):
-        decode_temperatures(b"\x63", [0])
-
-
-def test_kind_of_the_audit_is_packed_with_its_number() -> None:
-    assert WRITES.names[0] == "write_id"
-
-
-def test_a_frame_of_before_its_kind_got_another_number_has_none_in_it() -> None:
-    grown = Kind(name="grown", table="t", columns=(*_integers("utc_ms"), *_numbers("first added")))
-    before = Kind(name="grown", table="t", columns=grown.columns[:-1])
-    packed = encode_frame(before, frame_from_rows(before, before.names, [(1, 0.5), (2, 1.5)]))
-    found = decode_frame(grown, packed)
-    np.testing.assert_array_equal(found.numbers("first"), [0.5, 1.5])
-    assert np.isnan(found.numbers("added")).all()

@@ -1,6 +1,5 @@
 """Packed hours in a store: nothing is changed by packing, and nothing is lost or doubled on the way."""
 
-import asyncio
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
@@ -9,7 +8,6 @@ from pathlib import Path
 
 import history_records as make
 import numpy as np
-import psutil
 import pytest
 from history_records import EPOCH_S, SMALL, StillClock
 
@@ -18,10 +16,9 @@ from daemon.history import HistoryReader, HistoryWriter, backup, housekeeping
 from daemon.history.columns.kinds import CYCLES, KINDS
 from daemon.history.columns.packing import PackedHour, pack_hours
 from daemon.history.database import HistoryError, connect_reader, connect_writer
-from daemon.history.retention import SPARE_PAGES, store_hour
+from daemon.history.retention import store_hour
 from models.records import WriteOutcome
 
-FOREVER_S = 30.0
 HOURS = 3
 CONFIG = HistoryConfig(pack_after_s=3600.0)
 END_S = EPOCH_S + HOURS * 3600.0
@@ -110,18 +107,6 @@ def test_packing_changes_nothing_for_the_reader(store: Path) -> None:
     }
 
 
-def test_packing_twice_does_nothing_more(store: Path) -> None:
-    housekeeping(store, CONFIG, END_S)
-    before = chunks(store)
-    assert housekeeping(store, CONFIG, END_S).packed_hours == 0
-    assert chunks(store) == before
-
-
-def test_hour_that_is_not_old_enough_stays_as_it_is(store: Path) -> None:
-    assert housekeeping(store, CONFIG, EPOCH_S + 2 * 3600 - 0.001).packed_hours == 0
-    assert housekeeping(store, CONFIG, EPOCH_S + 2 * 3600).packed_hours == 6
-
-
 def test_records_that_come_late_for_a_packed_hour_join_it(store: Path) -> None:
     housekeeping(store, CONFIG, END_S)
     writer = HistoryWriter(store, clock=StillClock(), machine=SMALL)
@@ -153,19 +138,6 @@ def test_intent_without_outcome_is_not_packed_away(store: Path) -> None:
         (settled,) = [record for record in reader.writes(EPOCH_S, END_S) if record.write_id == write_id]
         assert settled.outcome is WriteOutcome.FAILED
         assert reader.last_written_macros() is not None
-
-
-def test_macros_last_written_are_found_in_packed_hours(store: Path) -> None:
-    with HistoryReader(store) as reader:
-        before = reader.last_written_macros()
-    housekeeping(store, CONFIG, END_S + 86_400)
-    assert raw_rows(store)["writes"] == 0
-    with HistoryReader(store) as reader:
-        assert reader.last_written_macros() == before
-    writer = HistoryWriter(store, clock=StillClock(), machine=SMALL)
-    writer.start()
-    assert writer.write_intent(None, ((500, 1.0),), "cycle") == HOURS * 12 + 1, "no number is given twice"
-    writer.close()
 
 
 def test_rows_that_changed_meanwhile_are_left_for_the_next_time(store: Path) -> None:
@@ -206,38 +178,6 @@ async def test_running_writer_packs_beside_its_work(store: Path) -> None:
     assert everything(store) == before
 
 
-async def test_failing_packing_process_is_reported(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    problems: list[str] = []
-    writer = HistoryWriter(store, clock=StillClock(END_S), machine=SMALL, on_problem=problems.append)
-    writer.start()
-    await writer.submit(
-        lambda connection: connection.execute("INSERT INTO estimates SELECT NULL,1,1,'',1,1,'{','','','',1,1,'','',''")
-    )
-    report = await writer.request_housekeeping(CONFIG)
-    writer.close()
-    assert report is not None
-    assert any("housekeeping is put off" in problem and "packing process failed" in problem for problem in problems)
-    assert "packing process failed" in writer.housekeeping.problem, "it stays until housekeeping works again"
-    with HistoryReader(store) as reader:
-        assert reader.events(0.0, 1e11)[-1].kind == "housekeeping"
-
-
-async def test_packing_process_ends_with_whoever_waits_for_it(store: Path) -> None:
-    writer = HistoryWriter(store, clock=StillClock(END_S), machine=SMALL)
-    writer.start()
-    others = set(psutil.Process().children())
-    task = asyncio.create_task(writer.request_housekeeping(CONFIG))
-    while not (children := set(psutil.Process().children()) - others):
-        await asyncio.sleep(0.01)
-    assert await writer.request_housekeeping(CONFIG) is None, "one at a time"
-    task.cancel()
-    with pytest.raises(asyncio.CancelledError):
-        await task
-    writer.close()
-    psutil.wait_procs(children, timeout=FOREVER_S)
-    assert not any(child.is_running() for child in children)
-
-
 def test_retention_is_per_kind_and_reaches_packed_hours(store: Path) -> None:
     housekeeping(store, CONFIG, END_S)
     hour_days = 1.0 / 24.0
@@ -249,34 +189,6 @@ def test_retention_is_per_kind_and_reaches_packed_hours(store: Path) -> None:
     assert cnc is not None and cnc[0] >= END_S - 1800
     assert temperatures is not None and temperatures[0] >= END_S - 2 * 3600, "an hour goes when all of it is too old"
     assert counts == {"cnc": 6, "temperatures": 48, "estimates": 36, "writes": 36}
-
-
-def test_file_gives_back_what_retention_freed(tmp_path: Path) -> None:
-    path = tmp_path / "history.sqlite"
-    writer = HistoryWriter(path, clock=StillClock(), machine=SMALL)
-    writer.start()
-
-    def fill_pages(connection: sqlite3.Connection) -> None:
-        connection.execute("BEGIN")
-        blob = bytes(40_000)
-        for k in range(600):
-            connection.execute("INSERT INTO chunks VALUES (NULL, 'cnc', 0, ?, ?, 1, ?, NULL)", (k, k, blob))
-        connection.execute("COMMIT")
-
-    writer.submit(fill_pages).result(FOREVER_S)
-    writer.close()
-    full = path.stat().st_size
-    report = housekeeping(path, CONFIG, END_S + 1e9)
-    assert report.removed_chunks == 600
-    assert path.stat().st_size <= (SPARE_PAGES + 100) * 4096 < full
-
-
-def test_offline_housekeeping_is_refused_beside_a_writer(store: Path) -> None:
-    writer = HistoryWriter(store, clock=StillClock(), machine=SMALL)
-    writer.start()
-    with pytest.raises(HistoryError, match="writes this store"):
-        housekeeping(store, CONFIG, END_S)
-    writer.close()
 
 
 def test_backup_of_a_store_in_use_is_whole(store: Path, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import history_records as make
 import numpy as np
 import pytest
-from history_records import EPOCH_S, FULL, SMALL, StillClock
+from history_records import EPOCH_S, SMALL, StillClock
 
 from config.schema.service import HistoryConfig
 from daemon.history import HistoryError, HistoryReader, HistoryWriter, database, housekeeping
@@ -80,26 +80,6 @@ def test_temperatures_with_quality_and_reason(stored: Callable[[Fill], HistoryRe
     assert ((times_s - EPOCH_S).tolist(), degc.tolist(), quality.tolist()) == ([0, 10], [21, 35], [0, 1])
 
 
-def test_cycle_without_cleansing_keeps_its_own_quality(stored: Callable[[Fill], HistoryReader]) -> None:
-    quality, reason = np.array([2, 0, 0], dtype=np.uint8), np.array([Reason.DEVICE_ERROR, 0, 0], dtype=np.uint8)
-    cycle = make.cycle("spindle", 1, EPOCH_S, [np.nan, 21.0, 22.0], quality=quality, reason=reason)
-    found = stored(lambda writer: writer.temperatures(None, cycle)).temperatures([13], EPOCH_S, EPOCH_S + 1)
-    assert (found.quality.tolist(), found.reason.tolist()) == ([[Quality.MISSING]], [[Reason.DEVICE_ERROR]])
-
-
-def test_whole_interval_is_half_open(stored: Callable[[Fill], HistoryReader]) -> None:
-    def fill(writer: HistoryWriter) -> None:
-        for k in range(6):
-            writer.temperatures(None, make.cycle("bed", k, EPOCH_S + 10 * k, [20.0 + k, 20.0]))
-            writer.cnc_sample(make.cnc_sample(EPOCH_S + 10 * k))
-
-    reader = stored(fill)
-    assert reader.temperatures([21], EPOCH_S + 10, EPOCH_S + 30).degc[:, 0].tolist() == [21.0, 22.0]
-    assert (reader.cnc(EPOCH_S + 10, EPOCH_S + 30).time_s - EPOCH_S).tolist() == [10.0, 20.0]
-    assert reader.temperatures([21], EPOCH_S + 900, EPOCH_S + 999).degc.shape == (0, 1)
-    assert reader.cnc(EPOCH_S + 900, EPOCH_S + 999).time_s.size == 0
-
-
 def test_cnc_samples(stored: Callable[[Fill], HistoryReader]) -> None:
     second = make.cnc_sample(
         EPOCH_S + 0.5,
@@ -128,40 +108,6 @@ def test_cnc_samples(stored: Callable[[Fill], HistoryReader]) -> None:
     assert set(found.macros) == {600, 601}, "what we write stands in the audit"
     np.testing.assert_array_equal(found.macros[600], [0.012, np.nan])
     np.testing.assert_array_equal(found.macros[601], [np.nan, 1 / 3])
-
-
-def test_estimates(stored: Callable[[Fill], HistoryReader]) -> None:
-    def fill(writer: HistoryWriter) -> None:
-        writer.estimate(make.estimate(EPOCH_S, [1.0004, -2.5, np.nan]))
-        writer.estimate(make.estimate(EPOCH_S + 10, [3.0, 4.0, 5.0], imputed=(), reference_id=None, in_domain=False))
-
-    found = hour(stored(fill).estimates)
-    np.testing.assert_array_equal(found.thermal_error_um["dx"], [1.0, 3.0])
-    np.testing.assert_array_equal(found.thermal_error_um["dz"], [np.nan, 5.0])
-    assert (found.cycle_time_s - EPOCH_S).tolist() == [0.0, 10.0]
-    assert found.line == ("spindle", "spindle")
-    assert found.label_degc["Room"].tolist() == [21.5, 21.5]
-    assert found.label_increment_degc["A"].tolist() == [3.25, 3.25]
-    assert found.imputed == ((12, 21), ())
-    assert found.reference_id == ("ref-1", None)
-    assert found.in_domain.tolist() == [True, False]
-    assert found.confidence.tolist() == [0.987, 0.987]
-
-
-def test_displacements(stored: Callable[[Fill], HistoryReader]) -> None:
-    reasons = np.array([0, Reason.OVERFLOW, 0], dtype=np.uint8)
-
-    def fill(writer: HistoryWriter) -> None:
-        writer.displacement(make.displacement(EPOCH_S, [1.25, 2.5, 1 / 3]))
-        writer.displacement(make.displacement(EPOCH_S + 60, [1.5, np.nan, 3.0], reason=reasons))
-
-    reader = stored(fill)
-    found = hour(reader.displacements)
-    np.testing.assert_array_equal(found.um["dy"], [2.5, np.nan])
-    assert found.um["dz"].tolist() == [1 / 3, 3.0]
-    assert found.reason["dy"].tolist() == [0, Reason.OVERFLOW]
-    assert found.source == ("/srv/logger/today.csv:2", "/srv/logger/today.csv:3")
-    assert reader.last_displacement_utc_s() == EPOCH_S + 60
 
 
 def test_writes_with_every_outcome(stored: Callable[[Fill], HistoryReader]) -> None:
@@ -219,37 +165,6 @@ def test_events_and_references(tmp_path: Path) -> None:
     assert replace(found, degc=reference.degc) == reference
 
 
-def test_sensors_are_found_after_the_chain_was_changed(tmp_path: Path) -> None:
-    path = tmp_path / "h.sqlite"
-    for layout, value, first_s in (
-        (SMALL, [20.0, 21.0], EPOCH_S),
-        (replace(SMALL, lines={"spindle": (13, 11, 12), "bed": (22, 21)}), [30.0, 31.0], EPOCH_S + 10),
-    ):
-        writer = HistoryWriter(path, clock=StillClock(), machine=layout)
-        writer.start()
-        writer.temperatures(None, make.cycle("bed", 1, first_s, value))
-        writer.close()
-    with HistoryReader(path) as reader:
-        assert reader.temperatures([22], EPOCH_S, EPOCH_S + 60).degc[:, 0].tolist() == [21.0, 30.0]
-
-
-def test_all_sensors_of_a_machine(tmp_path: Path) -> None:
-    path = tmp_path / "h.sqlite"
-    random = np.random.default_rng(0)
-    values = {line: np.round(random.uniform(15, 45, len(ids)) * 16) / 16 for line, ids in FULL.lines.items()}
-    writer = HistoryWriter(path, clock=StillClock(), machine=FULL)
-    writer.start()
-    for line, degc in values.items():
-        writer.temperatures(None, make.cycle(line, 1, EPOCH_S, degc))
-    writer.close()
-    for _ in ("raw", "packed"):
-        with HistoryReader(path) as reader:
-            found = reader.temperatures(None, EPOCH_S, EPOCH_S + 1)
-        assert found.sensor_ids == FULL.sensor_ids
-        np.testing.assert_array_equal(np.nanmax(found.degc, axis=0), np.concatenate(list(values.values())))
-        housekeeping(path, HistoryConfig(), EPOCH_S + 86_400)
-
-
 def test_clock_that_was_set_back_loses_nothing(stored: Callable[[Fill], HistoryReader]) -> None:
     def fill(writer: HistoryWriter) -> None:
         for number, offset_s in enumerate((0, 10, 20, 5, 15, 25)):
@@ -303,25 +218,6 @@ def test_store_at_rest_is_read_by_a_user_who_may_not_write() -> None:
         os.close(receive)
 
 
-def test_missing_extents_are_none(tmp_path: Path) -> None:
-    path = tmp_path / "h.sqlite"
-    writer = HistoryWriter(path, clock=StillClock(), machine=SMALL)
-    writer.start()
-    writer.close()
-    with HistoryReader(path) as reader:
-        assert reader.extent("cnc") is None
-        assert reader.get_state("nothing") is None
-        assert reader.last_written_macros() is None
-        assert reader.temperatures(None, 0, EPOCH_S).degc.shape == (0, 5)
-
-
-def test_damaged_store_says_so(tmp_path: Path) -> None:
-    path = tmp_path / "h.sqlite"
-    path.write_bytes(b"SQLite format 3\x00" + bytes(4000))
-    with pytest.raises(HistoryError, match=r"h\.sqlite"):
-        HistoryReader(path)
-
-
 @pytest.mark.parametrize("table", ["writes", "temperature_cycles"])
 def test_a_damaged_page_is_a_sentence_with_what_to_do(tmp_path: Path, table: str) -> None:
     path = tmp_path / "history.sqlite"
@@ -344,39 +240,6 @@ def test_a_damaged_page_is_a_sentence_with_what_to_do(tmp_path: Path, table: str
     ):
         reader.writes(0.0, 1e11)
         reader.temperatures(None, 0.0, 1e11)
-
-
-@pytest.mark.parametrize("statement", [
-    "UPDATE temperature_cycles SET flags = x'ff7f0101' WHERE id = 3",
-    "UPDATE temperature_cycles SET flags = x'ff7f01' WHERE id = 3",
-    "UPDATE temperature_cycles SET counts = x'0102030405' WHERE id = 3",
-    "UPDATE layouts SET members = '[1'",
-])  # fmt: skip
-def test_flipped_bits_within_a_cycle_are_a_sentence(tmp_path: Path, statement: str) -> None:
-    path = tmp_path / "history.sqlite"
-    writer = HistoryWriter(path, clock=StillClock(NOW_S), machine=SMALL)
-    writer.start()
-    for k in range(5):
-        writer.temperatures(None, make.cycle("bed", k, EPOCH_S + 10 * k, [20.0 + k, 20.0]))
-    writer.close()
-    with closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute(statement)
-    with HistoryReader(path) as reader, pytest.raises(HistoryError, match=r"the store is damaged .*restore a back-up"):
-        reader.temperatures(None, EPOCH_S - 100.0, EPOCH_S + 100.0)
-
-
-@pytest.mark.parametrize(("before", "after"), [(b'"wanted', b'"wan\xffed'), (b'{"wanted', b'["wanted')])
-def test_flipped_bits_in_a_kept_document_are_a_sentence_too(tmp_path: Path, before: bytes, after: bytes) -> None:
-    path = tmp_path / "history.sqlite"
-    writer = HistoryWriter(path, clock=StillClock(NOW_S), machine=SMALL)
-    writer.start()
-    writer.put_state("wanted", {"wanted": True})
-    writer.close()
-    content = path.read_bytes()
-    assert content.count(before) == 1
-    path.write_bytes(content.replace(before, after))
-    with pytest.raises(HistoryError, match=r"the store is damaged .*restore a back-up"):
-        HistoryWriter(path, clock=StillClock(NOW_S), machine=SMALL).get_state("wanted")
 
 
 def test_a_store_that_another_program_holds_for_itself_is_said_to_be_held(

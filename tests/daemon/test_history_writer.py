@@ -1,13 +1,10 @@
 """The writer: what is committed when, what survives a failing disk, what is refused."""
 
-import asyncio
-import queue
 import sqlite3
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 
 import history_records as make
@@ -16,7 +13,6 @@ import pytest
 from history_records import EPOCH_S, SMALL, StillClock
 
 from daemon.history import HistoryError, HistoryReader, HistoryWriter, database
-from daemon.history.intake import Entry, Intake
 from models.records import WriteOutcome
 
 FOREVER_S = 30.0
@@ -79,18 +75,6 @@ def test_cycle_is_acknowledged_when_it_can_be_read(watched: Watched, store: Path
     assert seen == [{"spindle": 7}]
 
 
-def test_samples_ride_with_the_next_cycle(watched: Watched, store: Path) -> None:
-    for k in range(4):
-        watched.writer.cnc_sample(make.cnc_sample(EPOCH_S + k / 2))
-    time.sleep(0.2)
-    with HistoryReader(store) as reader:
-        assert reader.row_count("cnc") == 0, "a sample alone must not cost a commit"
-    watched.writer.temperatures(None, spindle_cycle(1))
-    wait_until(lambda: watched.acknowledged == [("spindle", 1)])
-    with HistoryReader(store) as reader:
-        assert reader.row_count("cnc") == 4
-
-
 def test_sample_is_committed_at_the_latest_when_its_time_is_up(
     watched: Watched, store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -142,79 +126,12 @@ async def test_an_intent_that_is_kept_elsewhere_is_committed_with_its_outcome(
     assert (settled.outcome, settled.macros) == (WriteOutcome.VERIFIED, written)
 
 
-async def test_an_intent_that_is_kept_elsewhere_does_not_wait_for_ever(
-    watched: Watched, store: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("daemon.history.writer.SAMPLE_COMMIT_S", 0.0)
-    await watched.writer.write_intent(None, ((500, 1.0),), "estimate", kept=True)
-    with HistoryReader(store) as reader:
-        assert [each.macros for each in reader.unsettled_writes()] == [((500, 1.0),)]
-
-
-async def test_cancelled_waiter_leaves_the_commit_alone(watched: Watched, store: Path) -> None:
-    async def wait() -> None:
-        await watched.writer.event("note", "kept", "somebody")
-
-    waiter = asyncio.create_task(wait())
-    await asyncio.sleep(0)
-    waiter.cancel()
-    await watched.writer.flushed()
-    with HistoryReader(store) as reader:
-        assert [event.text for event in reader.events(0, EPOCH_S + 1)] == ["kept"]
-
-
 def test_numbers_of_writes_go_on_after_a_restart(store: Path) -> None:
     for expected in (1, 2):
         watched = Watched(store)
         watched.writer.start()
         assert watched.writer.write_intent(None, ((500, 1.0),), "commission", "somebody") == expected
         watched.writer.close()
-
-
-def test_state_is_there_at_once_and_after_a_restart(store: Path) -> None:
-    first = Watched(store)
-    assert first.writer.get_state("wanted") is None, "no store yet"
-    first.writer.start()
-    first.writer.put_state("wanted", {"Z": True})
-    assert first.writer.get_state("wanted") == {"Z": True}
-    first.writer.close()
-    assert Watched(store).writer.get_state("wanted") == {"Z": True}
-
-
-def test_macros_that_a_lost_write_may_have_left(store: Path) -> None:
-    first = Watched(store)
-    assert first.writer.last_written_macros() is None
-    first.writer.start()
-    verified, lost, refused = ((500, 1.0), (501, 2.0)), ((500, 3.0), (501, 2.0)), ((500, 9.0),)
-    for written, outcome in ((((500, 0.0),), WriteOutcome.FAILED), (verified, WriteOutcome.VERIFIED)):
-        write_id = first.writer.write_intent(None, written, "cycle")
-        first.writer.write_outcome(write_id, make.receipt(EPOCH_S, written, outcome=outcome))
-    first.writer.write_intent(None, lost, "cycle")
-    never = first.writer.write_intent(None, refused, "cycle")
-    first.writer.write_outcome(never, make.receipt(EPOCH_S, refused, outcome=WriteOutcome.REFUSED))
-    first.writer.close()
-    assert Watched(store).writer.last_written_macros() == {500: (1.0, 3.0), 501: (2.0,)}
-
-
-def test_newest_displacement_is_known_after_a_restart(store: Path) -> None:
-    first = Watched(store)
-    assert first.writer.last_displacement_utc_s() is None
-    first.writer.start()
-    first.writer.displacement(make.displacement(EPOCH_S + 60, [1.0, 2.0, np.nan]))
-    assert first.writer.last_displacement_utc_s() == EPOCH_S + 60
-    first.writer.close()
-    assert Watched(store).writer.last_displacement_utc_s() == EPOCH_S + 60
-
-
-def test_rows_of_a_source_do_not_hide_rows_of_the_file_that_were_not_read(store: Path) -> None:
-    first = Watched(store)
-    first.writer.start()
-    first.writer.displacement(make.displacement(EPOCH_S + 60, [1.0, 2.0, np.nan]))
-    of_source = replace(make.displacement(EPOCH_S + 90, [np.nan, np.nan, 3.0]), source="source gauge")
-    first.writer.displacement(of_source)
-    assert first.writer.last_displacement_utc_s() == EPOCH_S + 60
-    first.writer.close()
-    assert Watched(store).writer.last_displacement_utc_s() == EPOCH_S + 60
 
 
 def test_second_writer_is_refused_until_the_first_has_closed(watched: Watched, store: Path) -> None:
@@ -225,13 +142,6 @@ def test_second_writer_is_refused_until_the_first_has_closed(watched: Watched, s
     third = Watched(store)
     third.writer.start()
     third.writer.close()
-
-
-def test_unknown_line_and_wrong_channels_are_refused_at_once(watched: Watched) -> None:
-    with pytest.raises(ValueError, match=r"line 'table' is not one of this machine's: \['bed', 'spindle'\]"):
-        watched.writer.temperatures(None, make.cycle("table", 1, EPOCH_S, [1.0]))
-    with pytest.raises(ValueError, match=r"today\.csv:2: 2 displacements"):
-        watched.writer.displacement(make.displacement(EPOCH_S, [1.0, 2.0]))
 
 
 def test_record_that_cannot_be_stored_costs_only_itself(watched: Watched, store: Path) -> None:
@@ -288,33 +198,6 @@ def test_full_queue_gives_up_measurements_before_the_audit(store: Path, monkeypa
     assert any("dropped: 5 CNC samples" in problem for problem in watched.problems)
 
 
-def test_failing_callback_does_not_end_the_writer(watched: Watched) -> None:
-    def fail(_line: str, _number: int) -> None:
-        raise RuntimeError("a mistake elsewhere")
-
-    watched.writer._engine._on_acknowledged = fail
-    watched.writer.temperatures(None, spindle_cycle(1))
-    watched.commit()
-    watched.writer.temperatures(None, spindle_cycle(2))
-    watched.commit()
-    assert watched.writer.waiting == 0
-
-
-def test_failing_job_tells_who_asked_and_leaves_no_transaction(watched: Watched, store: Path) -> None:
-    def job(connection: sqlite3.Connection) -> None:
-        connection.execute("BEGIN")
-        connection.execute("DELETE FROM layouts")
-        raise RuntimeError("half way")
-
-    with pytest.raises(RuntimeError, match="half way"):
-        watched.writer.submit(job).result(FOREVER_S)
-    watched.writer.temperatures(None, spindle_cycle(1))
-    watched.commit()
-    with HistoryReader(store) as reader:
-        assert reader.sensor_ids() == (11, 12, 13, 21, 22)
-        assert reader.row_count("temperatures") == 1
-
-
 def test_writing_from_the_loop_does_not_wait_for_the_disk(watched: Watched) -> None:
     release = threading.Event()
     stuck = watched.writer.submit(lambda _: release.wait(FOREVER_S))
@@ -327,55 +210,8 @@ def test_writing_from_the_loop_does_not_wait_for_the_disk(watched: Watched) -> N
     assert watched.acknowledged[-1] == ("spindle", 99)
 
 
-def test_after_close_a_record_is_counted_as_dropped(store: Path) -> None:
-    watched = Watched(store)
-    watched.writer.start()
-    watched.writer.close()
-    watched.writer.event("note", "too late")
-    assert watched.writer.dropped == {"events": 1}
-
-
-def test_intake_takes_the_audit_first_and_keeps_order_when_put_back() -> None:
-    intake = Intake(10)
-    order = []
-    for name, bulk in (("a", True), ("b", False), ("c", True), ("d", False)):
-        intake.put(Entry(kind=name, execute=lambda *_: None, bulk=bulk), within_s=0.0)
-    taken = intake.take(0.0)
-    intake.put(Entry(kind="e", execute=lambda *_: None), within_s=0.0)
-    intake.put_back(taken)
-    order = [entry.kind for entry in intake.take(0.0)]
-    assert [entry.kind for entry in taken] == ["b", "d", "a", "c"]
-    assert order == ["b", "d", "e", "a", "c"]
-
-
-def test_what_has_time_wakes_nobody_and_is_taken_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daemon.history.intake.LONGEST_WAIT_S", 0.05)
-    intake, taken, woken = Intake(10), queue.SimpleQueue[list[str]](), []
-    monkeypatch.setattr(intake._changed, "notify", lambda: woken.append(1))
-    reader = threading.Thread(target=lambda: taken.put([entry.kind for entry in intake.take(0.0)]), daemon=True)
-    reader.start()
-    put_s = time.monotonic()
-    intake.put(Entry(kind="a", execute=lambda *_: None), within_s=0.1)
-    assert taken.get(timeout=FOREVER_S) == ["a"] and not woken
-    assert time.monotonic() - put_s >= 0.1, "it waited for what else is to go with it"
-    intake.put(Entry(kind="b", execute=lambda *_: None), within_s=0.02)
-    assert woken
-
-
 class TestStore:
     """The file itself."""
-
-    def test_settings(self, watched: Watched, store: Path) -> None:
-        def settings(connection: sqlite3.Connection) -> list[object]:
-            names = ("journal_mode", "synchronous", "auto_vacuum", "user_version", "application_id")
-            return [connection.execute(f"PRAGMA {name}").fetchone()[0] for name in names]
-
-        expected = ["wal", 2, 2, database.schema_version(), database.APPLICATION_ID]
-        assert watched.writer.submit(settings).result(FOREVER_S) == expected
-
-    def test_scripts_are_numbered_without_a_gap(self) -> None:
-        numbers = [number for number, _ in database.schema_scripts()]
-        assert numbers == list(range(1, len(numbers) + 1))
 
     def test_newer_store_is_refused(self, store: Path) -> None:
         database.connect_writer(store).close()
@@ -398,22 +234,6 @@ class TestStore:
         with pytest.raises(HistoryError, match="belongs to another program"):
             HistoryReader(store)
         assert store.read_bytes() == before
-
-    def test_file_that_is_no_database_is_refused(self, store: Path) -> None:
-        store.write_text("time,temperature\n" * 100)
-        with pytest.raises(HistoryError, match="not a SQLite database"):
-            Watched(store).writer.start()
-        with pytest.raises(HistoryError, match="not a SQLite database"):
-            HistoryReader(store)
-
-    def test_refused_store_does_not_stay_locked(self, store: Path) -> None:
-        store.write_text("time,temperature\n" * 100)
-        with pytest.raises(HistoryError):
-            Watched(store).writer.start()
-        store.unlink()
-        watched = Watched(store)
-        watched.writer.start()
-        watched.writer.close()
 
     def test_absent_store_is_named(self, store: Path) -> None:
         with pytest.raises(HistoryError, match=r"history\.sqlite: there is no history store"):

@@ -6,7 +6,6 @@ from datetime import UTC, datetime
 from apscheduler.triggers.interval import IntervalTrigger
 
 from config.schema.service import HistoryConfig
-from daemon.housekeeping import jobs
 from daemon.housekeeping.jobs import HOUSEKEEPING_PERIOD_S, housekeeping_scheduler
 
 
@@ -44,20 +43,3 @@ async def test_the_store_is_tidied_now_and_then_with_its_configuration():
         assert store.asked == [config]
     finally:
         scheduler.shutdown(wait=False)
-
-
-async def test_housekeeping_that_does_not_end_is_ended_and_said(monkeypatch):
-    monkeypatch.setattr(jobs, "HOUSEKEEPING_WITHIN_S", 0.1)
-    store = Store(hangs=True)
-    scheduler = housekeeping_scheduler(store, HistoryConfig())
-    scheduler.start()
-    try:
-        for count in (1, 2):
-            (job,) = scheduler.get_jobs()
-            job.modify(next_run_time=datetime.now(UTC))
-            async with asyncio.timeout(30):
-                while len(store.why) < count:
-                    await asyncio.sleep(0.01)
-    finally:
-        scheduler.shutdown(wait=False)
-    assert len(store.asked) == 2 and "took longer than" in store.why[0]

@@ -1,7 +1,6 @@
 """A model with lags in the daemon: states filled from the history, doubted until then, continuous over a restart."""
 
 import asyncio
-import threading
 from dataclasses import replace
 
 import numpy as np
@@ -197,33 +196,6 @@ async def test_a_machine_that_was_off_over_night_is_followed_from_its_first_refe
     await shop.end()
 
 
-async def test_an_empty_store_is_told_as_hours_that_are_not_known(tmp_path, model):
-    shop = Shop(tmp_path, model)
-    with structlog.testing.capture_logs() as logs:
-        await shop.prepare()
-    (rebuilt,) = (entry for entry in logs if entry["event"] == "states.rebuilt")
-    assert rebuilt["known_h"] == 0.0 < rebuilt["of_h"] and "filled" not in rebuilt
-    await shop.end()
-
-
-async def test_the_states_are_rebuilt_though_the_last_temperatures_cannot_be_read(tmp_path, model, monkeypatch):
-    shop = Shop(tmp_path, model)
-    await shop.prepare()
-    await shop.run(10)
-    await shop.end()
-    shop.begin()
-
-    def breaks(*_):
-        raise ValueError("made up")
-
-    monkeypatch.setattr(shop.task._past, "last_accepted", breaks)
-    with structlog.testing.capture_logs() as logs:
-        await shop.prepare()
-    assert [entry["event"] for entry in logs] == ["thermal.defect", "states.rebuilt"]
-    assert 0.1 < logs[1]["known_h"] < logs[1]["of_h"]
-    await shop.end()
-
-
 async def test_a_warm_machine_without_a_past_is_doubted_says_what_it_needs_and_has_a_wider_band(
     tmp_path, model_with_speed
 ):
@@ -349,18 +321,6 @@ async def test_a_watch_alone_goes_on_from_the_history_after_a_restart(tmp_path, 
     await shop.end()
 
 
-async def test_what_a_watch_alone_has_excluded_stays_out_over_a_restart(tmp_path, watched_without_lags):
-    shop, reference = await with_a_sensor_excluded(tmp_path, watched_without_lags)
-    await shop.end()
-
-    shop.begin()
-    await shop.prepare()
-    await shop.task._take(shop.taken_up(reference))
-    await shop.run(1)
-    assert shop.latest.imputed == (1,)
-    await shop.end()
-
-
 async def test_a_sensor_that_returns_counts_again_without_a_step_over_a_restart_too(tmp_path, model):
     shop = Shop(tmp_path, model)
     await shop.prepare()
@@ -416,37 +376,6 @@ async def test_a_sensor_that_returns_within_what_its_past_explains_counts_as_bef
         assert shop.latest.confidence == 0.0 and "sensor 1 by" in shop.latest.inhibit
     else:
         assert shop.latest.confidence > 0.9 and shop.latest.inhibit == ""
-    await shop.end()
-
-
-async def test_the_history_of_an_old_reference_is_not_read_in_the_loop(tmp_path, model):
-    shop = Shop(tmp_path, model)
-    await shop.prepare()
-    await shop.run(60)
-    reference = await shop.refer()
-    await shop.run(30)
-    readers, past = [], shop.task._online._history
-
-    def noted(*span):
-        readers.append(threading.get_ident())
-        return past(*span)
-
-    shop.task._online._history = noted
-    shop.task._reference = None  # as after a restart
-    await shop.task._take(shop.taken_up(reference))
-    assert readers and threading.get_ident() not in readers
-    await shop.end()
-
-
-async def test_a_gap_in_spindle_speed_is_a_gap_of_the_states(tmp_path, model_with_speed):
-    shop = Shop(tmp_path, model_with_speed, by_load=True)
-    await shop.prepare()
-    await shop.run(16.3 * 60)
-    await shop.refer()
-    await shop.run(2)
-    assert shop.latest.confidence > 0.9
-    await shop.run(30, speed=False)
-    assert shop.latest.confidence == 0.0 and "spindle speed" in shop.latest.inhibit
     await shop.end()
 
 

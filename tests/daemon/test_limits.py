@@ -5,7 +5,7 @@ from control_rig import machine, record_for
 
 from config.records.commissioning import CommissionedAxis
 from config.schema.spindle_speed import SpindleSpeedConfig
-from daemon.cnc.limits import commissioned_factors, echo_slack_um, guard_programs, output_limits
+from daemon.cnc.limits import commissioned_factors, guard_programs, output_limits
 
 
 def test_where_less_moves_than_is_written_bound_and_step_shrink_with_it(tmp_path):
@@ -47,12 +47,3 @@ def test_the_programs_that_are_no_part_program(tmp_path):
     assert guard_programs(configuration) == {9010, 9011, 9012, 9013, 9014}
     speed = SpindleSpeedConfig.model_construct(program=9020)
     assert guard_programs(configuration.model_copy(update={"spindle_speed": speed})) == {*range(9010, 9015), 9020}
-
-
-def test_the_slack_of_the_echo_is_half_an_increment_of_the_control(tmp_path):
-    configuration = machine(tmp_path)
-    coarse = configuration.cnc.guard.model_copy(update={"increment_mm": 0.001})
-    fine = configuration.cnc.guard.model_copy(update={"increment_mm": 0.00001})
-    for guard, expected in ((coarse, 0.51), (fine, 0.05)):
-        cnc = configuration.cnc.model_copy(update={"guard": guard})
-        assert echo_slack_um(configuration.model_copy(update={"cnc": cnc})) == pytest.approx(expected)

@@ -1,7 +1,6 @@
 """What the links tell: losses and returns of a line, and rows of the logger that cannot be read."""
 
 import asyncio
-import sys
 from collections.abc import AsyncIterator
 from dataclasses import replace
 from pathlib import Path
@@ -9,14 +8,11 @@ from typing import Any
 
 import history_records as make
 import numpy as np
-import pytest
 import structlog
 from control_rig import HandClock, machine
 from displacement_file import HEADER, append, config, row
 
 from config.schema import Configuration
-from config.schema.displacement_sources import DisplacementSourceConfig
-from config.schema.displacements import DisplacementsConfig
 from daemon.cnc.session import CncLink
 from daemon.estimation.task import MOST_WAITING, ThermalInbox
 from daemon.links import DisplacementLog, Links
@@ -24,8 +20,6 @@ from daemon.registry import PARTS
 from daemon.snapshots import DisplacementSnapshot
 from drivers.clock import SystemClock
 from drivers.contract import LinkError
-from drivers.displacement.source import DisplacementCsvSource
-from models.quality import Reason
 from models.records import DisplacementSample, TemperatureCycle, Trace
 
 FOREVER_S = 30.0
@@ -144,43 +138,6 @@ async def test_a_wrong_time_format_is_said_in_log_event_and_status(tmp_path: Pat
     assert told.events == [("displacements", problem) for problem in said]
 
 
-async def test_one_bad_row_among_good_ones_is_named_with_its_column(tmp_path: Path) -> None:
-    path = tmp_path / "logger.csv"
-    append(path, HEADER + row(0) + row(1, y="1x") + row(2))
-    told = Told()
-    links = Links(with_displacements(tmp_path, path), SystemClock(), PARTS, no_cnc(), lambda: None)
-    running = asyncio.create_task(next(links.displacements(lambda: None, told.log)))
-    async with asyncio.timeout(FOREVER_S):
-        while told.shown.rows_read < 3:
-            told.changed.clear()
-            await told.changed.wait()
-    running.cancel()
-    await asyncio.gather(running, return_exceptions=True)
-    ((kind, text),) = told.events
-    assert kind == "displacements"
-    assert text == f"{path}:3:2: '1x' is no number for Y; it is left out"
-    assert links.snapshots()[-1].up
-
-
-async def test_a_file_that_is_not_there_is_no_link(tmp_path: Path) -> None:
-    told, reached = Told(), []
-    source = DisplacementCsvSource(config(tmp_path / "logger.csv"), SystemClock())
-    given = source.samples(told.log.problem, lambda: reached.append(True))
-    asked = asyncio.ensure_future(anext(given))
-    await told.until_problems(1)
-    assert reached == [] and "No such file" in told.events[0][1]
-    append(tmp_path / "logger.csv", HEADER + row(0))
-    async with asyncio.timeout(FOREVER_S):
-        assert (await asked).um[0] == 1.5
-    following = asyncio.ensure_future(anext(given))
-    async with asyncio.timeout(FOREVER_S):
-        while not reached:
-            await asyncio.sleep(0)
-    following.cancel()
-    await asyncio.gather(following, return_exceptions=True)
-    await source.close()
-
-
 async def test_cycles_that_come_faster_than_they_are_taken_wait_at_their_line() -> None:
     inbox = ThermalInbox()
     (cycle,) = [make.cycle("spindle", 1, 0.0, [20.0])]
@@ -192,52 +149,3 @@ async def test_cycles_that_come_faster_than_they_are_taken_wait_at_their_line() 
     inbox.get_nowait()
     await asyncio.wait_for(waiting, FOREVER_S)
     assert inbox.qsize() == MOST_WAITING
-
-
-async def test_a_change_of_a_link_is_published_at_once(tmp_path: Path) -> None:
-    changes: list[bool] = []
-    links = Links(machine(tmp_path), SystemClock(), PARTS, no_cnc(), lambda: changes.append(line.up))
-    line = links.shown[0]
-    line.came_up()
-    line.came_up()
-    line.went_down("unplugged", 1.0)
-    assert changes == [True, False]
-
-
-async def test_a_file_and_a_program_bring_rows_side_by_side_and_the_latest_of_each_is_shown(tmp_path: Path) -> None:
-    path = tmp_path / "logger.csv"
-    append(path, HEADER + row(0))
-    filed = config(path)
-    code = "import time\nwhile True: print('{\"x\": 0.0125}', flush=True); time.sleep(0.02)"
-    gauge = {
-        "name": "gauge",
-        "driver": "process",
-        "cycle_period_s": 0.02,
-        "process": {
-            "command": [sys.executable, "-I", "-S", "-c", code],
-            "channels": [{"name": "X9", "field": "x", "unit": "mm"}],
-        },
-    }
-    mixed = DisplacementsConfig(
-        file=filed.file, channels=filed.channels, sources=[DisplacementSourceConfig.model_validate(gauge)]
-    )
-    names = [channel.name for channel in mixed.every_channel]
-    assert names[-1] == "X9"
-    links = Links(
-        machine(tmp_path).model_copy(update={"displacements": mixed}), SystemClock(), PARTS, no_cnc(), lambda: None
-    )
-    assert [link.name for link in links.snapshots()][-2:] == ["displacement files", "process gauge"]
-    told = Told()
-    running = [asyncio.create_task(work) for work in links.displacements(lambda: None, told.log)]
-    async with asyncio.timeout(FOREVER_S):
-        while told.shown.latest is None or np.isnan(told.shown.latest.um[[0, -1]]).any():
-            told.changed.clear()
-            await told.changed.wait()
-    for task in running:
-        task.cancel()
-    await asyncio.gather(*running, return_exceptions=True)
-    assert told.shown.latest.um[0] == 1.5 and told.shown.latest.um[-1] == pytest.approx(12.5)
-    of_file = next(each for each in told.rows if each.source.startswith(str(path)))
-    of_program = next(each for each in told.rows if each.source == "source gauge")
-    assert of_file.reason[-1] == Reason.ELSEWHERE and np.isnan(of_file.um[-1])
-    assert list(of_program.reason[:-1]) == [Reason.ELSEWHERE] * (len(names) - 1)

@@ -68,23 +68,6 @@ def test_what_is_encoded_is_decoded(um):
     assert echo.applied_um == pytest.approx(np.array(um), abs=1.01 * half_a_step_um)
 
 
-def test_a_vacant_echo_is_not_a_number():
-    echo = MacroBlock(macro_map(), AXES, {}).echo({511: None, 512: 0.001})
-    assert np.isnan(echo.applied_um[0])
-    assert echo.status is None
-
-
-def test_foreign_and_vacant_values_are_named():
-    block = MacroBlock(macro_map(), AXES, {})
-    expected = {501: (0.003,), 502: (0.0, 0.001), 120: (50.0,)}
-    assert block.differences(expected, {501: 0.003, 502: 0.001, 120: None}) == []
-    problems = block.differences(expected, {501: None, 502: 0.5, 120: 50.0})
-    assert problems == [
-        "macro #501 is vacant; commissioning initialises it",
-        "macro #502 holds 0.5, we wrote 0 or 0.001",
-    ]
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [

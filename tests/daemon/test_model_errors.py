@@ -18,7 +18,7 @@ from config.schema.displacements import DisplacementChannelConfig, DisplacementF
 from daemon.cli import main
 from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.layout import MachineLayout
-from daemon.model_release.model_errors import MeasuredError, drift_document, in_force, measured_errors
+from daemon.model_release.model_errors import MeasuredError, measured_errors
 from daemon.sinks.alarms.observing import worn_models
 from models.records import ProbeSample
 
@@ -152,32 +152,6 @@ def test_displacements_say_what_the_model_left_since_they_began(tmp_path: Path) 
         assert each.with_um == pytest.approx(each.left_um, abs=0.01)
     fill_displacements(configuration, make.EPOCH_S + DAY_S, [0], lambda day: 0.2, references=2)
     assert len([each for each in errors_of(configuration) if each.axis == "z"]) == 13, "an hour each is too short"
-
-
-def test_displacements_ask_for_another_model_as_probes_do(tmp_path: Path) -> None:
-    configuration = measured_machine(tmp_path)
-    fill_displacements(configuration, make.EPOCH_S, range(0, 133, 7), lambda day: 0.1 + 0.5 * day / 133.0, minutes=121)
-    found = drift_document(errors_of(configuration), bound=None, least_error_um=5.0)
-    (judged,) = [each for each in found if each["axis"] == "z"]
-    assert judged["source"] == "displacement" and judged["retrain"] and judged["drift"]["share"] > 0.4
-    assert in_force(found) == found
-    later = MeasuredError(utc_s=4e9, axis="z", model_id="m2", with_um=1.0, without_um=9.0, left_um=1.0)
-    found = drift_document([*errors_of(configuration), later], bound=None, least_error_um=5.0)
-    assert [each["model_id"] for each in in_force(found) if each["axis"] == "z"] == ["m2"], (
-        "a probe under another model"
-    )
-
-
-def test_each_model_is_judged_by_itself(tmp_path: Path) -> None:
-    configuration = machine(tmp_path)
-    fill(configuration, make.EPOCH_S, 180, lambda day: 0.1 + 0.4 * day / 180.0)
-    fill(configuration, make.EPOCH_S + 180 * DAY_S, 130, lambda day: 0.1, model_id="m2")
-    old, new = drift_document(errors_of(configuration), bound=None, least_error_um=5.0)
-    assert (old["model_id"], new["model_id"]) == ("m1", "m2")
-    assert old["retrain"] and old["drift"]["share"] > 0.4 and len(old["weeks"]) == 26
-    assert not new["retrain"] and new["drift"]["share"] == pytest.approx(0.1, abs=1e-6)
-    (_, strict) = drift_document(errors_of(configuration), bound=0.05, least_error_um=5.0)
-    assert strict["retrain"]
 
 
 def test_the_command_says_it_and_ends_with_1_when_the_model_in_force_is_worn(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """What the history says of a model of an axis with a slope: judged where the axis stood, or counted as not judged."""
 
-import json
-import time
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -9,19 +7,15 @@ from typing import Any
 import history_records as make
 import numpy as np
 import pytest
-import yaml
-from click.testing import CliRunner
 from control_rig import record_for
 from sloped_machine import PIVOT_MM, TRAVEL_MM, configured, content, proved
 
 from config.records.commissioning_file import commissioning_text
 from config.schema import Configuration
-from daemon.cli import main
 from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.layout import MachineLayout
 from daemon.model_release.model_errors import MeasuredError, measured_errors
-from daemon.model_release.past_recordings import commissioned_um_per_unit, recordings_from_history
-from models.recordings.dataset import DatasetError
+from daemon.model_release.past_recordings import commissioned_um_per_unit
 from models.records import ProbeSample
 
 MINUTES = 131
@@ -145,32 +139,3 @@ def test_what_cannot_be_judged_is_counted_with_the_reason(
     assert axis == "z" and words in why
     assert not any(each.without_um for each in found), "but for a probe before the slope was anything"
     assert len(found) <= 1 and unjudged[axis, why] >= (12 if probes else MINUTES - 2)
-
-
-def test_the_command_says_what_it_does_not_judge(tmp_path: Path) -> None:
-    made = given(tmp_path, fanuc=False, read=False)
-    fill(configured(made), time.time() - 86_400.0)
-    path = tmp_path / "toolpoint.yaml"
-    path.write_text(yaml.safe_dump(json.loads(json.dumps(made))), encoding="utf-8")
-    done = CliRunner().invoke(main, ["model", "drift", "--config", str(path), "--json", "-"])
-    assert done.exit_code == 0, done.output
-    told = json.loads(done.stdout)
-    assert told["models"] == [] and told["not_judged"][0]["axis"] == "z" and told["not_judged"][0]["values"] > 100
-    assert "minutes of displacements are not judged: it has a slope (z_slope)" in done.stderr
-
-
-@pytest.mark.parametrize("on", [True, False])
-def test_at_a_fanuc_nothing_is_trained_on_that_was_measured_while_a_slope_was_applied_and_that_is_said(
-    tmp_path: Path, on: bool
-) -> None:
-    configuration = configured(given(tmp_path, fanuc=True, read=True))
-    fill(configuration, make.EPOCH_S, on=on)
-    units = commissioned_um_per_unit(configuration)
-    with HistoryReader(configuration.history.path) as reader:
-        if on:
-            words = "leave the sensors in place for longer; of axis z: the control keeps what its slope"
-            with pytest.raises(DatasetError, match=words):
-                recordings_from_history(configuration, reader, units, from_utc_s=0.0, to_utc_s=4e9)
-        else:
-            (found,) = recordings_from_history(configuration, reader, units, from_utc_s=0.0, to_utc_s=4e9)
-            assert found.rows >= MINUTES - 2

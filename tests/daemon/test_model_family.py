@@ -18,7 +18,6 @@ from config.schema.compensation import ReleaseConfig
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import load_released
 from daemon.model_release.releasing import release
-from daemon.workbench.thermal.estimates import RecordedEstimates
 from daemon.workbench.thermal.evaluation import Protocol, evaluate
 from models.model_file import ModelError, Numbers, file_text, record_of
 from models.recordings.dataset import Recording
@@ -211,13 +210,6 @@ def test_its_file_gives_it_back(trained: MeanTemperature) -> None:
     assert json.loads(trained.to_json())["family"] == "mean"
     with pytest.raises(ModelError, match=r"m\.json: sha256: does not fit"):
         model_from_json(trained.to_json().replace('"kind": "mean"', '"kind": "other"'), "m.json")
-
-
-def test_it_is_reported_on_a_recording(trained: MeanTemperature) -> None:
-    recording = run(4)
-    estimated = RecordedEstimates(trained, recording).since_um("Y1", 10, 90)
-    measured = recording.displacements_um[10:90, 0] - recording.displacements_um[10, 0]
-    np.testing.assert_allclose(estimated, measured, atol=0.5)
 
 
 def test_it_is_released_and_loaded(trained: MeanTemperature) -> None:

@@ -38,19 +38,6 @@ async def test_it_gives_what_loading_in_the_loop_gives(tmp_path: Path) -> None:
     assert beside.in_words() == here.in_words() and "ridge-7" in here.in_words()
 
 
-async def test_a_refusal_comes_back_in_the_same_words(tmp_path: Path) -> None:
-    configuration = configured(tmp_path, "{}")
-    found = await load_beside(configuration)
-    assert found.model is None
-    assert found.inhibit == load_released(configuration, own_account()).inhibit != ""
-
-
-async def test_a_process_that_cannot_work_is_a_refusal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daemon.model_release.side_load.sys.executable", str(tmp_path / "no-python"))
-    found = await load_beside(configured(tmp_path, model().to_json()))
-    assert found.model is None and found.inhibit.startswith("the process that loads a model failed: ")
-
-
 def test_arrays_of_a_mapped_model_cannot_be_written(tmp_path: Path) -> None:
     made = LoadedModel(model=model(), inhibit="", sha256="0" * 64)
     descriptor = os.memfd_create("test")
@@ -128,38 +115,6 @@ async def test_a_request_while_a_model_is_loaded_leads_to_one_more_load_that_see
     shelf.let_end.put_nowait(None)
     assert (await shelf.publication()).model_id == "third"
     assert [each.model_id for each in shelf.taken] == ["second", "third"] and shelf.loads == 2
-
-
-async def test_requests_before_the_loop_looks_count_once(shelf: Shelf) -> None:
-    shelf.released = found("second", "2")
-    shelf.reload.request()
-    shelf.reload.request()
-    shelf.let_end.put_nowait(None)
-    await shelf.publication()
-    assert (shelf.loads, len(shelf.taken)) == (1, 1)
-
-
-async def test_a_request_of_before_the_start_is_served_after_it() -> None:
-    shelf = Shelf(found("first", "1"))
-    shelf.released = found("second", "2")
-    shelf.reload.request()
-    shelf.let_end.put_nowait(None)
-    running = asyncio.create_task(shelf.reload.run())
-    assert (await shelf.publication()).model_id == "second"
-    running.cancel()
-    await asyncio.gather(running, return_exceptions=True)
-
-
-async def test_a_stop_while_a_model_is_loaded_takes_nothing() -> None:
-    shelf = Shelf(found("first", "1"))
-    shelf.released = found("second", "2")
-    running = asyncio.create_task(shelf.reload.run())
-    shelf.reload.request()
-    await shelf.begun.get()
-    running.cancel()
-    await asyncio.gather(running, return_exceptions=True)
-    shelf.reload.request()
-    assert (shelf.taken, shelf.shown, shelf.events) == ([], [], [])
 
 
 async def test_a_refused_release_is_shown_until_what_is_released_is_in_force_again(shelf: Shelf) -> None:

@@ -63,14 +63,6 @@ def test_releases_that_were_copied_from_another_machine_are_refused(folder: Path
         release(here, folder / "state/proposals/p.json", person="anna", trained_on="mill 7")
 
 
-def test_a_model_that_names_no_machine_and_one_of_this_are_taken_as_they_were(folder: Path) -> None:
-    for place, named in enumerate(({}, {MACHINE: configured(folder).machine}), start=1):
-        waiting = proposal(folder, model(f"m{place}", hyper_parameters=named))
-        assert [each.inhibit for each in proposals(configured(folder))] == [""]
-        assert release(configured(folder), waiting, person="anna").number == place
-        assert load_released(configured(folder), STRANGER).model is not None
-
-
 @pytest.mark.parametrize(
     ("names", "machine"), [(("mill 7", "mill 7"), "mill 7"), (("mill 7", "mill 8"), None), (("", ""), None)]
 )

@@ -1,6 +1,5 @@
 """Releases without a person, and what the commands say."""
 
-import json
 import os
 from collections.abc import Iterator
 from dataclasses import replace
@@ -8,17 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
-from click.testing import CliRunner
 from control_rig import SENSOR_IDS
 from model_folder import configured, open_folder, proposal
 from small_model import model
 
 from config.files import sha256_of
 from config.records.release_record import ReleaseRecord
-from config.sample import sample_configuration
 from config.schema.compensation import ReleaseConfig
-from daemon.cli import main
 from daemon.model_release.file_access import Account
 from daemon.model_release.loading import load_released
 from daemon.model_release.releasing import proposals, release, release_by_policy, repository_of
@@ -83,13 +78,6 @@ def test_a_model_that_its_training_refused_is_neither_released_nor_loaded(folder
     assert bench.model is not None and "its training refused it: " in bench.warning
 
 
-def test_the_policy_is_off_by_default(folder):
-    configuration = configured(folder)
-    proposal(folder, model())
-    with pytest.raises(ReleaseError, match="only a person releases"):
-        release_by_policy(configuration, person="policy")
-
-
 def test_the_policy_takes_the_newest_that_is_not_worse(folder):
     configuration = configured(folder, release=ReleaseConfig(automatic=True))
     proposal(folder, model("ridge-2", 1.5), "2.json")
@@ -110,42 +98,3 @@ def test_the_policy_takes_the_newest_that_is_not_worse(folder):
 
 
 # --- the commands ----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("words", "status", "said"),
-    [
-        (["release"], 2, "name one PROPOSAL"),
-        (["release", "p.json", "--by-policy"], 2, "name one PROPOSAL"),
-        (["release", "p.json"], 1, "model_file is not set"),
-        (["release", "--by-policy"], 1, "only a person releases"),
-        (["rollback"], 1, "model_file is not set"),
-        (["rollback", "--to", "0"], 2, "--to"),
-        (["list"], 2, "model_file is not set"),
-    ],
-)
-def test_what_the_commands_cannot_do_they_say(tmp_path, words, status, said):
-    path = tmp_path / "toolpoint.yaml"
-    path.write_text(sample_configuration(), encoding="utf-8")
-    finished = CliRunner().invoke(main, ["model", *words, "--config", str(path)])
-    assert finished.exit_code == status, finished.output
-    assert said in finished.output
-
-
-def test_a_plain_file_in_the_place_of_the_released_model_is_told_beside_what_there_is(folder):
-    configuration = configured(folder)
-    release(configuration, proposal(folder, model(), "1.json"), person="anna")
-    (path := folder / "toolpoint.yaml").write_text(
-        yaml.safe_dump(configuration.model_dump(mode="json")), encoding="utf-8"
-    )
-    model_file = configuration.compensation.model_file
-    content = model_file.read_bytes()
-    model_file.unlink()
-    model_file.write_bytes(content)
-    listed = CliRunner().invoke(main, ["model", "list", "--config", str(path)])
-    assert listed.exit_code == 2 and "release   " in listed.stdout and "anna" in listed.stdout
-    assert (
-        "is a plain file, which nobody released and nobody can go back to; move it to another folder" in listed.stderr
-    )
-    as_json = CliRunner().invoke(main, ["model", "list", "--config", str(path), "--json", "-"])
-    assert json.loads(as_json.stdout)["active"] is None and "is a plain file" in json.loads(as_json.stdout)["problem"]

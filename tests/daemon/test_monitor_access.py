@@ -10,9 +10,7 @@ from monitor_bench import PASSWORD, accounts_file, monitor
 from starlette.requests import Request
 
 from daemon.history.reader import HistoryReader
-from daemon.monitor import passwords
 from daemon.monitor.accounts import Accounts
-from daemon.monitor.passwords import LoginLimit, Passwords, TooManyWrongError, WrongPasswordError
 from daemon.monitor.web import access
 from daemon.monitor.web.access import Access
 
@@ -128,20 +126,6 @@ async def test_wrong_passwords_are_counted_and_then_refused_without_a_check(tmp_
         assert ("wrong name or password for the monitor ('anna')", "127.0.0.1") in bench.events()
 
 
-def test_the_limit_lets_go_after_its_time_and_does_not_grow_for_ever():
-    now = [0.0]
-    limit = LoginLimit(lambda: now[0])
-    for _ in range(passwords.MOST_FAILURES):
-        limit.failed("address a", "account x")
-    assert limit.wait_s("address a") == limit.wait_s("account x") == passwords.FAILURE_WINDOW_S
-    assert limit.wait_s("address b") == 0.0
-    now[0] = passwords.FAILURE_WINDOW_S
-    assert limit.wait_s("address a") == 0.0
-    for number in range(2 * passwords.MOST_ADDRESSES):
-        limit.failed(f"address {number}")
-    assert len(limit._failures) == passwords.MOST_ADDRESSES
-
-
 class Asked:
     """What the access looks at of a request."""
 
@@ -202,11 +186,3 @@ def test_no_token_that_was_not_handed_out_is_a_session(tmp_path, token):
     found = Access(accounts=Accounts(tmp_path / "users"), session_s=1.0, secure=False, report=lambda *_: None)
     scope = {"type": "http", "headers": [(b"cookie", f"toolpoint={token}".encode("latin-1"))]}
     assert found.by_session(Request(scope)) is None
-
-
-async def test_who_guesses_with_many_connections_at_once_gets_no_more_tries():
-    checking = Passwords(lambda: 0.0)
-    tries = [checking.check({}, "anna", f"guess {number}", "192.0.2.1") for number in range(12)]
-    ended = await asyncio.gather(*tries, return_exceptions=True)
-    checked = [error for error in ended if type(error) is WrongPasswordError]
-    assert len(checked) == passwords.MOST_FAILURES and sum(isinstance(error, TooManyWrongError) for error in ended) == 7

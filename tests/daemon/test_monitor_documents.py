@@ -55,32 +55,6 @@ async def test_the_status_says_what_is_estimated_asked_written_and_applied(bench
     assert status["latency"]["feedback"]["samples"] > 0
 
 
-async def test_sensors_tell_why_they_are_not_good(bench):
-    sensors = {each["id"]: each for each in (await bench.browser().get("/api/v1/sensors")).json["sensors"]}
-    assert sensors[2]["quality"] == "missing" and sensors[2]["reason"] == "not received"
-    assert sensors[11]["degc"] is None
-    assert set(sensors) == {1, 2, 3, 11, 12}
-
-
-async def test_every_name_that_is_listed_can_be_asked_for(bench):
-    browser = bench.browser()
-    listed = (await browser.get("/api/v1/names")).json
-    names = [each["name"] for each in listed["series"]]
-    assert len(names) == len(set(names))
-    for start in range(0, len(names), 30):
-        query = "&".join(f"name={name}" for name in names[start : start + 30])
-        answer = await browser.get(f"/api/v1/series?{query}&from={EPOCH_S}&to={EPOCH_S + 5000}")
-        assert answer.status == 200 and set(answer.json) == set(names[start : start + 30])
-    assert listed["first"] < listed["last"]
-
-
-async def test_series_hold_what_was_recorded(bench):
-    found = (await bench.browser().get(f"/api/v1/series?name=applied.z&from={EPOCH_S}&to={EPOCH_S + 5000}")).json
-    series = found["applied.z"]
-    assert max(series["max"]) == pytest.approx(3.0, abs=0.11)
-    assert len(series["t"]) == len(series["min"]) == len(series["max"]) == len(series["mean"]) > 0
-
-
 @pytest.mark.parametrize(
     ("query", "status", "sentence"),
     [
@@ -111,20 +85,6 @@ async def test_what_cannot_be_answered_is_refused_with_a_sentence(tmp_path, quer
     async with monitor(tmp_path) as bench:
         answer = await bench.browser().get(f"/api/v1/{query}")
         assert (answer.status, sentence in answer.detail) == (status, True), answer.body
-
-
-async def test_a_body_that_is_no_request_is_refused(tmp_path):
-    async with monitor(tmp_path) as bench:
-        for body in (b"", b"{", b"[]", b'{"name": 1}', b'"x"', b"\xff\xfe"):
-            answer = await bench.browser().ask("POST", "/api/v1/session", body)
-            assert answer.status == 422 and answer.detail, body
-        answer = await bench.browser().ask("POST", "/api/v1/status", {})
-        assert answer.status == 405 and "does not take POST" in answer.detail
-
-
-async def test_years_are_answered_in_as_many_points_as_asked_for(bench):
-    answer = await bench.browser().get("/api/v1/series?name=temperature.1&name=estimated.Y1&from=0&to=4e9&points=200")
-    assert answer.status == 200 and all(len(each["t"]) <= 200 for each in answer.json.values())
 
 
 async def test_the_audit_is_listed_newest_first_with_what_stood_there_before(bench):
@@ -178,15 +138,6 @@ async def test_health_is_bad_in_fault_and_without_a_link(bench):
     assert bench.rig.state == "FAULT"
     answer = await browser.get("/api/v1/health")
     assert answer.status == 503 and answer.json["reason"].startswith("FAULT: ")
-
-
-async def test_the_present_is_in_the_metrics(bench):
-    text = (await bench.browser().get("/metrics")).body.decode()
-    assert "toolpoint_output_state_number 2.0" in text
-    assert 'toolpoint_thermal_error_micrometres{axis="z"} -3.0' in text
-    assert 'toolpoint_temperature_celsius{label="A"}' in text
-    assert 'toolpoint_compensation_bound_micrometres{axis="z"} 30.0' in text
-    assert "NaN" not in text
 
 
 async def test_the_estimate_says_which_sensors_carry_it_and_what_is_measured_beside_it(bench):

@@ -10,7 +10,7 @@ import structlog
 from monitor_bench import monitor
 
 from daemon.monitor import connections
-from daemon.monitor.web import gate, live, recorded, server
+from daemon.monitor.web import gate, live, server
 from daemon.rate_limit import BURST
 
 HEAD = b"GET %s HTTP/1.1\r\nHost: localhost\r\n\r\n"
@@ -42,21 +42,6 @@ async def test_a_head_that_does_not_arrive_in_time_ends_the_connection(tmp_path,
         with contextlib.suppress(ConnectionResetError):
             assert await reader.read() == b""
         writer.close()
-
-
-async def test_a_head_sent_letter_by_letter_ends_too(tmp_path, monkeypatch):
-    monkeypatch.setattr(server, "HEAD_S", 0.2)
-    async with monitor(tmp_path) as bench, asyncio.timeout(60):
-        reader, writer = await connected(bench.port)
-        with contextlib.suppress(ConnectionError):
-            while True:
-                writer.write(b"G")
-                await writer.drain()
-                if reader.at_eof():
-                    break
-                await asyncio.sleep(0.02)
-        writer.close()
-        assert await status_now(bench) == 200
 
 
 @pytest.mark.parametrize("path", [b"/api/v1/session", b"/api/v1/enable", b"/api/v1/nothing", b"/metrics", b"/"])
@@ -121,43 +106,6 @@ async def drain(reader):
         await next_status(reader)
 
 
-async def test_fifty_viewers_all_get_the_same_newest_state(tmp_path):
-    async with monitor(tmp_path) as bench, asyncio.timeout(120):
-        await bench.rig.turn()
-        viewers = []
-        for _ in range(50):
-            reader, writer = await connected(bench.port)
-            writer.write(HEAD % b"/api/v1/events")
-            viewers.append((reader, writer))
-        await asyncio.gather(*(next_status(reader) for reader, _ in viewers))
-        assert bench.live.viewers == 50
-        bench.rig.set_reference()
-        await bench.rig.switch_on()
-        await bench.rig.follow(0.0, 0.0, 2)
-
-        async def sees_it(reader):
-            while (await next_status(reader))["state"] != "ACTIVE":
-                pass
-
-        await asyncio.gather(*(sees_it(reader) for reader, _ in viewers))
-        for _, writer in viewers:
-            writer.transport.abort()
-        while bench.live.viewers:
-            await asyncio.sleep(0.01)
-        assert bench.live._task is None, "without a viewer nothing is made"
-
-
-async def test_more_viewers_than_there_is_room_for_are_told(tmp_path, monkeypatch):
-    monkeypatch.setattr(live, "MOST_VIEWERS", 1)
-    async with monitor(tmp_path) as bench, asyncio.timeout(60):
-        reader, writer = await connected(bench.port)
-        writer.write(HEAD % b"/api/v1/events")
-        await next_status(reader)
-        answer = await bench.browser().get("/api/v1/events")
-        assert answer.status == 503 and "watching already" in answer.detail
-        writer.close()
-
-
 async def test_a_thousand_connections_leave_room_for_one_more_and_for_the_viewers(tmp_path):
     async with monitor(tmp_path) as bench, asyncio.timeout(300):
         reader, writer = await connected(bench.port)
@@ -174,16 +122,6 @@ async def test_a_thousand_connections_leave_room_for_one_more_and_for_the_viewer
         for other in (*crowd, writer):
             other.transport.abort()
     assert connections.most_connections(server.MOST_CONNECTIONS, server.SHARE_OF_DESCRIPTORS) <= 256
-
-
-async def test_queries_beyond_their_number_are_refused_and_a_long_one_is_broken_off(tmp_path, monkeypatch):
-    async with monitor(tmp_path) as bench:
-        monkeypatch.setattr(recorded, "LONGEST_QUERY_S", -1.0)
-        answer = await bench.browser().get("/api/v1/series?name=temperature.1")
-        assert answer.status == 503 and "took longer than" in answer.detail
-        monkeypatch.setattr(recorded, "MOST_WAITING", 0)
-        answer = await bench.browser().get("/api/v1/series?name=temperature.1")
-        assert answer.status == 503 and "too many queries" in answer.detail
 
 
 async def test_a_defect_in_a_route_is_a_500_and_the_next_request_is_answered(tmp_path, monkeypatch):
@@ -227,22 +165,3 @@ async def test_what_is_no_http_or_none_of_ours_is_answered_with_4xx_or_ended(tmp
             assert not answer or answer.startswith(b"HTTP/1.1 4"), answer
         writer.close()
         assert await status_now(bench) == 200
-
-
-@pytest.mark.parametrize("sent", [b"\x16\x03\x01\x02\r\n\r\n", b"GET /" + b"x" * 20_000 + b" HTTP/1.1\r\n\r\n"])
-async def test_what_is_no_http_is_refused_with_a_sentence(tmp_path, sent):
-    async with monitor(tmp_path) as bench, asyncio.timeout(60):
-        reader, writer = await connected(bench.port)
-        writer.write(sent)
-        assert "no HTTP request, or its head is longer than 16384 byte" in (await refusal(reader, 400))["detail"]
-        writer.close()
-
-
-async def test_a_method_that_a_place_does_not_take_is_refused_with_a_sentence(tmp_path):
-    async with monitor(tmp_path) as bench:
-        for path in ("/", "/metrics", "/healthz", "/openapi.json", "/style.css", "/api/v1/status", "/api/v1/nothing"):
-            for method in ("POST", "PUT", "DELETE", "PATCH", "TRACE"):
-                answer = await bench.browser().ask(method, path)
-                assert answer.status in (404, 405) and path in answer.detail, (method, path)
-        answer = await bench.browser().get("/api/v1/enable")
-        assert answer.status == 405 and answer.headers["allow"] == "POST" and "does not take GET" in answer.detail

@@ -55,20 +55,3 @@ async def test_candidates_come_with_their_scores_and_what_stands_against_each(co
     assert [each["released_by"] for each in found["releases"]] == ["anna"]
     z1 = next(band for band in found["scores"]["bands"] if band["channel"] == "Z1")
     assert z1 == {"channel": "Z1", "band_um": 2.0, "widest_um": 30.0}
-
-
-async def test_a_candidate_that_comes_is_there_at_the_next_look(configuration, tmp_path):
-    async with monitor(tmp_path) as bench:
-        models = ModelsOnDisk(configuration, bench.rig.snapshots)
-        assert (await models.document())["candidates"] == []
-        proposal(folder_of(configuration), model("ridge-2"), "new.json")
-        assert [each["file"] for each in (await models.document())["candidates"]] == ["new.json"]
-        (folder_of(configuration) / "state/proposals/new.json").unlink()
-        assert (await models.document())["candidates"] == []
-
-
-async def test_a_process_that_cannot_read_them_is_a_503_with_its_words(configuration, tmp_path, monkeypatch):
-    monkeypatch.setattr("daemon.monitoring.DESCRIBER", ("python3", "-c", "raise SystemExit('no room')"))
-    async with monitor(tmp_path) as bench:
-        answer = await bench.browser().get("/api/v1/models")
-    assert answer.status == 503 and "no room" in answer.detail

@@ -8,7 +8,6 @@ import pytest
 from certificates import HOST, make_certificate
 from monitor_bench import accounts_file, monitor
 
-from daemon.monitor import passwords
 from daemon.monitor.web import access
 
 
@@ -53,16 +52,6 @@ async def test_a_person_logs_in_and_acts_through_tls(tmp_path):
         assert any(rig.snapshots.control.wanted), "nothing of that has acted"
 
 
-async def test_it_answers_to_the_names_of_its_certificate_alone(tmp_path):
-    async with opened(tmp_path, anna="viewer") as bench:
-        ours, others = (f"{HOST}:{bench.port}", "10.0.0.17"), ("mill-8.hall", "10.0.0.18")
-        for host in ours:
-            assert (await bench.browser().get("/api/v1/session", host=host)).status == 200, host
-        for host in others:
-            answer = await bench.browser().get("/api/v1/session", host=host)
-            assert answer.status == 403 and "service.tls_certificate" in answer.detail, host
-
-
 async def test_a_session_that_ends_closes_its_live_events_too(tmp_path, monkeypatch):
     async with opened(tmp_path, anna="viewer") as bench, asyncio.timeout(60):
         browser = bench.browser()
@@ -77,14 +66,6 @@ async def test_a_session_that_ends_closes_its_live_events_too(tmp_path, monkeypa
         writer.close()
         answer = await browser.get("/api/v1/status")
         assert answer.status == 401 and "log in first" in answer.detail
-
-
-async def test_wrong_passwords_are_limited_through_tls_too(tmp_path):
-    async with opened(tmp_path, anna="viewer") as bench:
-        for _ in range(passwords.MOST_FAILURES):
-            assert (await bench.browser().login("anna", "a wrong password")).status == 401
-        answer = await bench.browser().login("anna")
-        assert answer.status == 429 and "too many wrong passwords" in answer.detail and answer.headers["retry-after"]
 
 
 async def test_plain_http_and_old_tls_get_nothing_and_the_others_go_on(tmp_path):
@@ -110,27 +91,3 @@ async def test_a_certificate_that_was_replaced_counts_from_the_next_connection(t
         assert (await bench.browser().get("/api/v1/session")).status == 200
         with pytest.raises(ssl.SSLError):
             await before.get("/api/v1/session")
-
-
-async def test_a_certificate_without_its_key_leaves_the_old_one_in_use_and_is_said(tmp_path, capsys):
-    """A key that is a credential of the service is another only from the next start on."""
-    async with opened(tmp_path, anna="viewer") as bench:
-        key = (tmp_path / "monitor.key").read_bytes()
-        old, new = bench.tls, make_certificate(tmp_path)
-        new_key = (tmp_path / "monitor.key").read_bytes()
-        (tmp_path / "monitor.key").write_bytes(key)
-        for _ in range(2):
-            assert (await bench.browser().get("/api/v1/session")).status == 200
-        assert capsys.readouterr().out.count("certificate_not_taken") == 1, "once for each change"
-        (tmp_path / "monitor.key").write_bytes(new_key)
-        bench.tls = new
-        assert (await bench.browser().get("/api/v1/session")).status == 200 and old is not new
-
-
-async def test_files_that_are_no_certificate_are_named(tmp_path):
-    files = {"tls_certificate": tmp_path / "monitor.crt", "tls_key": tmp_path / "monitor.key"}
-    for path in files.values():
-        path.write_text("neither\n", encoding="ascii")
-    with pytest.raises(OSError, match=r"monitor\.crt and its key cannot be used"):
-        async with monitor(tmp_path, users=accounts_file(tmp_path, anna="viewer"), **files):
-            pass

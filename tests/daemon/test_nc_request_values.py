@@ -143,35 +143,6 @@ async def test_a_counter_that_is_none_ends_the_reference_in_words_and_requests_g
     assert answer(bench) == 1.0 and rig.state == "ACTIVE"
 
 
-async def test_a_counter_that_was_unreadable_for_one_poll_asks_for_nothing_again(rig, bench):
-    await rig.active(handshake=True)
-    ask(bench, 1, TOOL_CHANGE, 0, 5.0)
-    await rig.turn()
-    put(bench, COUNTER, None)
-    await rig.turn()
-    put(bench, COUNTER, 1.0)
-    asked, written = len(rig.asked), len(bench.nc.written)
-    await rig.turn()
-    assert answer(bench) == 1.0
-    assert ACKNOWLEDGE not in dict(bench.nc.written[written:]) and len(rig.asked) == asked
-
-
-@pytest.mark.parametrize("value", [math.inf, -math.inf, 1e300, 2.5, -3.0])
-async def test_a_start_on_a_counter_that_is_none_says_so_once_and_goes_on_when_it_is_one(bench, value):
-    put(bench, COUNTER, value)
-    async with running(bench.rig()) as rig:
-        for _ in range(3):
-            await rig.turn()
-        (text,) = await told(rig)
-        assert "#520" in text
-        put(bench, COUNTER, 0.0)
-        await rig.turn()
-        ask(bench, 1, TOOL_CHANGE, 0, 5.0)
-        await rig.turn()
-        await rig.turn()
-        assert answer(bench) == 1.0 and rig.control.journal.fault is None
-
-
 @pytest.mark.parametrize("value", SPECIAL)
 async def test_an_answer_macro_that_holds_something_else_is_at_most_a_fault_in_words(rig, bench, value):
     await rig.active(handshake=True)

@@ -27,20 +27,6 @@ def test_messages_are_systemds(listener):
     assert received == [["READY=1", "STATUS=running"], ["WATCHDOG=1", "STATUS=ACTIVE"], ["STOPPING=1"]]
 
 
-def test_an_abstract_address_is_understood():
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
-        listener.bind("")  # the kernel picks an abstract name
-        listener.settimeout(30.0)
-        ServiceManager({"NOTIFY_SOCKET": "@" + listener.getsockname()[1:].decode()}).ready("x")
-        assert listener.recv(1000).startswith(b"READY=1")
-
-
-def test_without_a_service_manager_nothing_happens(tmp_path):
-    ServiceManager({}).ready("x")
-    ServiceManager({"NOTIFY_SOCKET": str(tmp_path / "nobody")}).watchdog("x")
-    assert list(tmp_path.iterdir()) == []
-
-
 async def test_the_watchdog_is_fed_by_the_control_tick_and_by_nothing_else(listener, tmp_path):
     manager = ServiceManager({"NOTIFY_SOCKET": listener.getsockname()})
     listener.setblocking(False)

@@ -3,16 +3,11 @@
 import asyncio
 import contextlib
 import math
-import time
-from dataclasses import replace
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from asyncua import Client, ua
 from asyncua.common.utils import Buffer
-from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
-from asyncua.ua.ua_binary import struct_from_binary, struct_to_binary, uatcp_to_binary
+from asyncua.ua.ua_binary import struct_from_binary
 from asyncua.ua.uaerrors import UaError, UaStatusCodeError
 from control_rig import SENSOR_IDS
 from hypothesis import given, settings
@@ -21,16 +16,13 @@ from opcua_bench import NOW, ROLES, TAGS, OpcUaBench, tag_server, tell
 from scripted_machine import Keys
 
 from daemon.history.reader import HistoryReader
-from daemon.monitor import arrival
 from drivers.opcua.bounded import Received
 from drivers.opcua.server import subscriptions
 from drivers.opcua.server.encoding import Kind, variant
 from drivers.opcua.server.requests import Request, ServiceError
-from drivers.opcua.server.session import MOST_SESSION_S
 from drivers.opcua.server.space import Variable
 from drivers.opcua.server.subscriptions import Item, Publisher, PublishRequest
 from drivers.opcua.server.wire import WireError, _decoded
-from models.quality import Quality
 
 METHODS = {"reference": [], "enable": [[]], "disable": [[], False], "acknowledge": []}
 
@@ -71,25 +63,6 @@ async def test_every_sensor_is_a_tag_with_quality_source_time_and_where_it_sits(
         sensor = bench.configuration.temperatures.sensors[0]
         assert facts.pop("EngineeringUnits").DisplayName.Text == "°C"
         assert facts == {"Component": sensor.component, "Part": sensor.part, "Label": sensor.label or ""}
-
-
-async def test_no_sensor_is_good_when_every_line_has_gone_silent(tmp_path, keys):
-    async with tag_server(tmp_path, keys) as bench, bench.logged_in("otto") as client:
-        stale_after_s = bench.configuration.temperatures.cleansing.stale_after_s
-        for ago_s, status in ((0.0, "Good"), (stale_after_s + 1.0, "BadNoData"), (0.0, "Good")):
-            tell(bench, ago_s=ago_s)
-            value = await (await node(client, "temperature.1")).read_data_value(raise_on_bad_status=False)
-            assert value.StatusCode.name == status and (value.Value.Value is not None) is (status == "Good")
-
-
-async def test_time_alone_makes_a_value_too_old(tmp_path, keys, monkeypatch):
-    async with tag_server(tmp_path, keys) as bench, bench.logged_in("otto") as client:
-        tell(bench)
-        tag = await node(client, "temperature.1")
-        assert (await tag.read_data_value()).StatusCode.name == "Good"
-        later = bench.configuration.temperatures.cleansing.stale_after_s + 1.0
-        monkeypatch.setattr(arrival, "time", SimpleNamespace(monotonic=lambda: time.monotonic() + later))
-        assert (await tag.read_data_value(raise_on_bad_status=False)).StatusCode.name == "BadNoData"
 
 
 async def test_estimate_compensation_and_state_are_tags_and_a_subscriber_hears_of_changes(tmp_path, keys):
@@ -273,40 +246,6 @@ async def test_a_session_ends_with_its_account_and_there_are_only_so_many(tmp_pa
         assert await (await node(one, "state.output")).read_value() == "OFF"
 
 
-async def test_what_is_not_usual_is_answered_too(tmp_path, keys):
-    async with tag_server(tmp_path, keys) as bench, bench.logged_in("otto") as client:
-        tell(bench)
-        tag, machine = await node(client, "temperature.1"), await node(client, "machine")
-        parts = [f"{await index(client)}:{name}" for name in ("temperatures", "temperature.1")]
-        assert (await machine.get_child(parts)).nodeid == tag.nodeid
-        assert (await client.register_nodes([tag]))[0].nodeid == tag.nodeid
-        await client.unregister_nodes([tag])
-        description = ua.BrowseDescription(
-            NodeId=machine.nodeid, BrowseDirection=ua.BrowseDirection.Forward, ReferenceTypeId=ua.NodeId(33)
-        )
-        description.ResultMask, description.IncludeSubtypes = ua.UInt32(63), True
-        parameters = ua.BrowseParameters(NodesToBrowse=[description], RequestedMaxReferencesPerNode=ua.UInt32(2))
-        (part,) = await client.uaclient.browse(parameters)
-        whole = {each.NodeId for each in part.References}
-        while part.ContinuationPoint:
-            following = ua.BrowseNextParameters(False, [part.ContinuationPoint])
-            (part,) = await client.uaclient.browse_next(following)
-            assert len(part.References) <= 2
-            whole |= {each.NodeId for each in part.References}
-        assert whole == {each.nodeid for each in await machine.get_children()}
-        subscription = await client.create_subscription(1, lambda: None)
-        assert subscription.parameters.RequestedPublishingInterval == 250, "what is granted"
-        handles = await subscription.subscribe_data_change([tag, await node(client, "state.output")])
-        await subscription.unsubscribe(handles)
-        await subscription.set_publishing_mode(False)
-        for _ in range(3):
-            await client.create_subscription(1000, lambda: None)
-        with pytest.raises(UaStatusCodeError, match="BadTooManySubscriptions"):
-            await client.create_subscription(1000, lambda: None)
-        status = await client.get_node(ua.ObjectIds.Server_ServerStatus).read_value()
-        assert status.State == ua.ServerState.Running and status.BuildInfo.ProductName == "Toolpoint"
-
-
 async def test_a_client_that_takes_nothing_gets_the_newest_and_holds_up_nobody():
     sent, room = [], [True]
     publisher = Publisher(lambda body, number: sent.append((number, body)), lambda: room[0])
@@ -340,53 +279,6 @@ async def test_a_client_that_takes_nothing_gets_the_newest_and_holds_up_nobody()
     assert len(made.kept) <= subscriptions.MOST_KEPT
 
 
-async def test_a_filter_without_a_dead_band_is_taken_and_any_other_is_refused(tmp_path, keys):
-    class Heard:
-        def __init__(self):
-            self.statuses = asyncio.Queue()
-
-        def datachange_notification(self, node, value, data):
-            self.statuses.put_nowait(data.monitored_item.Value.StatusCode.name)
-
-    async with tag_server(tmp_path, keys) as bench, bench.logged_in("otto") as client:
-        tell(bench)
-        heard = Heard()
-        subscription = await client.create_subscription(250, heard)
-        tag = await node(client, "temperature.1")
-
-        async def watched(wanted):
-            item = ua.MonitoredItemCreateRequest(
-                ItemToMonitor=ua.ReadValueId(NodeId=tag.nodeid, AttributeId=ua.AttributeIds.Value),
-                MonitoringMode=ua.MonitoringMode.Reporting,
-                RequestedParameters=ua.MonitoringParameters(ClientHandle=ua.UInt32(7), Filter=wanted),
-            )
-            parameters = ua.CreateMonitoredItemsParameters(subscription.subscription_id, ItemsToCreate=[item])
-            (created,) = await client.uaclient.create_monitored_items(parameters)
-            return created.StatusCode.name
-
-        for trigger in ua.DataChangeTrigger:
-            assert await watched(ua.DataChangeFilter(Trigger=trigger)) == "Good"
-        for refused in (ua.DataChangeFilter(DeadbandType=ua.UInt32(1), DeadbandValue=0.5), ua.EventFilter()):
-            assert await watched(refused) == "BadMonitoredItemFilterUnsupported"
-        plain = ua.DataChangeFilter(Trigger=ua.DataChangeTrigger.Status)
-        await subscription._subscribe(tag, mfilter=plain)
-        assert await asyncio.wait_for(heard.statuses.get(), 20.0) == "Good"
-        tell(bench, first_degc=23.0)
-        board = bench.rig.snapshots
-        bad = replace(board.thermal.temperatures, quality=np.full(5, Quality.MISSING, dtype=np.uint8))
-        board.thermal = replace(board.thermal, temperatures=bad)
-        news = await asyncio.wait_for(heard.statuses.get(), 20.0)
-        assert news != "Good", "a changed value alone is no news to who asked for the status"
-
-
-async def test_a_session_cannot_be_asked_for_without_an_end(tmp_path, keys):
-    async with tag_server(tmp_path, keys) as bench:
-        client = await bench.client("otto")
-        client.session_timeout = math.nan
-        async with client:
-            assert client.session_timeout == MOST_SESSION_S * 1000.0, "a timer at no time would upset the loop's others"
-
-
 NO_HEADER = bytes(2) + bytes(8) + (9).to_bytes(4, "little") + bytes(4) + b"\xff" * 4 + bytes(4)
 ENDLESS = (2_000_000).to_bytes(4, "little")
 
@@ -406,31 +298,6 @@ def test_decoding_ends_with_the_bytes_whatever_lengths_they_name():
         request.structure(ua.CallMethodRequest)
     with pytest.raises(WireError):
         _decoded(lambda: struct_from_binary(ua.RequestHeader, Received(NO_HEADER + literal)))
-
-
-async def test_who_is_not_known_yet_sends_one_chunk(tmp_path, keys):
-    async with tag_server(tmp_path, keys) as bench:
-        reader, writer = await asyncio.open_connection("127.0.0.1", bench.configuration.opcua_server.port)
-        writer.write(b"MSGC" + (32).to_bytes(4, "little") + bytes(24))
-        answer = await asyncio.wait_for(reader.read(), 20.0)
-        assert answer[:4] == b"ERRF" and b"more than one chunk" in answer
-        writer.close()
-
-
-async def test_a_long_request_for_a_channel_does_not_use_the_private_key_for_each_block(tmp_path, keys):
-    async with tag_server(tmp_path, keys) as bench:
-        section = bench.configuration.opcua_server
-        reader, writer = await asyncio.open_connection("127.0.0.1", section.port)
-        hello = ua.Hello(EndpointUrl="opc.tcp://127.0.0.1", ReceiveBufferSize=65535, SendBufferSize=65535)
-        writer.write(uatcp_to_binary(ua.MessageType.Hello, hello))
-        await asyncio.wait_for(reader.readexactly(28), 20.0)
-        known = ua.AsymmetricAlgorithmHeader(SecurityPolicyURI=SecurityPolicyBasic256Sha256.URI)
-        known.SenderCertificate, known.ReceiverCertificateThumbPrint = bench.keys.client.read_bytes(), bytes(20)
-        body = bytes(4) + struct_to_binary(known) + bytes(256 * 200)
-        writer.write(b"OPNF" + (8 + len(body)).to_bytes(4, "little") + body)
-        answer = await asyncio.wait_for(reader.read(), 20.0)
-        assert answer[:4] == b"ERRF" and b"51200 enciphered bytes" in answer
-        writer.close()
 
 
 @settings(max_examples=300, deadline=None)

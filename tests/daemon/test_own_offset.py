@@ -61,21 +61,6 @@ async def test_it_is_noticed_when_the_link_or_the_daemon_is_back(tmp_path: Path)
         await holds(rig, bench)
 
 
-async def test_a_program_that_shifts_the_offset_before_it_positions_the_work_is_followed(tmp_path: Path) -> None:
-    bench = watching(tmp_path)
-    async with running(bench.rig()) as rig:
-        await followed(rig, bench)
-        for pallet_um in (250.0, -250.0):
-            bench.nc.guard.change_own_offset("z", pallet_um)
-            bench.nc.sequence_number = 100
-            await rig.turn(safe=False)
-            rig.set_reference(rig.asked[-1].reference_id)
-            await rig.turn()
-            bench.nc.sequence_number = 200
-            await rig.follow(0.0, 0.0, 5)
-            assert rig.state == "ACTIVE" and rig.control.reference is not None
-
-
 async def test_the_guard_s_own_changes_are_none_wherever_it_is_looked_at_and_broken_off(tmp_path: Path) -> None:
     bench = watching(tmp_path)
     async with running(bench.rig()) as rig:
@@ -96,17 +81,6 @@ async def test_the_guard_s_own_changes_are_none_wherever_it_is_looked_at_and_bro
                 break
             await rig.turn(rig.estimate(wished_um, wished_um))
         assert over and max(rig.applied.values()) > 0.0
-
-
-async def test_in_inches_nothing_is_judged(tmp_path: Path) -> None:
-    bench = watching(tmp_path)
-    async with running(bench.rig()) as rig:
-        await followed(rig, bench)
-        bench.nc.guard.control.modal[6] = 20
-        await rig.follow(-20.0, -20.0, 3)
-        bench.nc.guard.control.modal[6] = 21
-        await rig.follow(-20.0, -20.0, 3)
-        assert rig.state == "ACTIVE"
 
 
 def test_a_control_without_the_register_is_refused(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import hashlib
 import json
 import os
 import select
@@ -119,23 +118,6 @@ async def test_a_killed_one_is_named_and_another_takes_its_place(tmp_path: Path)
         assert (await child.planner.plan(asked())) is not None
 
 
-async def test_it_names_the_files_that_it_has_read_and_what_has_changed_in_them(tmp_path: Path) -> None:
-    """A case is read again when the planner is started again, perhaps weeks later."""
-    case = tmp_path / "case.yaml"
-    async with supervised(tmp_path) as child:
-        os.kill(await child.opened(), signal.SIGKILL)
-        assert child.planner.opened is not None
-        first = child.planner.opened.words
-        assert "made-up, sha256" in first and "simulated_machine.yaml, sha256" in first
-        assert f"{case}, sha256 {hashlib.sha256(case.read_bytes()).hexdigest()}" in first
-        await child.lost()
-        case.write_text(case.read_text("utf-8").replace("teeth: 4", "teeth: 3"), encoding="utf-8")
-        child.begin()
-        await child.opened()
-        assert f"{case}, sha256 {hashlib.sha256(case.read_bytes()).hexdigest()}" in child.planner.opened.words
-        assert child.planner.opened.words != first
-
-
 async def test_one_that_hangs_is_killed_and_so_is_its_answer(tmp_path: Path) -> None:
     async with supervised(tmp_path) as child:
         process_id = await child.opened()
@@ -164,25 +146,6 @@ async def test_a_defect_in_the_daemon_says_why_no_speed_is_planned(tmp_path: Pat
         assert "unexpected OverflowError: too much" in child.planner.inhibit
         with pytest.raises(LinkError, match="the speed is frozen"):
             await child.planner.plan(asked())
-
-
-async def test_one_that_is_killed_while_it_plans_leaves_nobody_waiting(tmp_path: Path) -> None:
-    async with supervised(tmp_path) as child:
-        process_id = await child.opened()
-        os.kill(process_id, signal.SIGSTOP)
-        waiting = asyncio.create_task(child.planner.plan(asked()))
-        os.kill(process_id, signal.SIGKILL)
-        assert "was ended by SIGKILL" in await child.lost()
-        with pytest.raises(LinkError):
-            await waiting
-
-
-async def test_a_defect_is_said(tmp_path: Path) -> None:
-    async with supervised(tmp_path) as child:
-        await child.opened()
-        with pytest.raises(LinkError, match="unexpected IndexError"):
-            await child.planner.plan(asked(sensors=0))
-        assert "unexpected IndexError" in await child.lost()
 
 
 async def test_one_that_needs_too_much_memory_ends_and_says_so(tmp_path: Path) -> None:
@@ -232,31 +195,6 @@ async def test_a_plan_of_something_else_or_without_a_speed_is_not_taken(tmp_path
         with pytest.raises(LinkError, match="something else than it was asked"):
             await child.planner.plan(asked())
         assert "something else than it was asked" in await child.lost()
-
-
-async def test_a_program_that_is_not_there_is_said(tmp_path: Path) -> None:
-    async with supervised(tmp_path, (str(tmp_path / "none"),)) as child:
-        assert "cannot be started (No such file or directory)" in await child.lost()
-
-
-async def test_without_a_model_nothing_runs_and_nothing_is_tried_again(tmp_path: Path) -> None:
-    async with supervised(tmp_path) as child:
-        (tmp_path / "bearings.json").unlink()
-        process_id = await child.opened()
-        assert "there is no bearing model" in child.planner.inhibit
-        assert await asyncio.to_thread(ends, process_id)
-        assert not child.attempt.done()
-
-
-async def test_it_ends_with_its_supervisor_stopped_or_not(tmp_path: Path) -> None:
-    for stop in (False, True):
-        async with supervised(tmp_path) as child:
-            process_id = await child.opened()
-            os.kill(process_id, signal.SIGTERM)  # a service manager sends it to all; the daemon decides
-            assert await child.planner.plan(asked()) is not None
-            if stop:
-                os.kill(process_id, signal.SIGSTOP)
-        assert ends(process_id)
 
 
 @pytest.mark.parametrize("stopped", [False, True])

@@ -20,16 +20,12 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.publish import single
 from postgresql import PASSWORD, Server, postgresql
-from structlog.testing import capture_logs
 
 from config.schema.plant_store import PlantStoreConfig
 from daemon.cli import main
 from daemon.simulation.processes import free_port
-from daemon.sinks.database import scripts
 from daemon.sinks.outbox import STREAMS
-from daemon.sinks.plant_store import LARGEST_MESSAGE, TEXTS, PlantStore, row_of
-from daemon.sinks.row_messages import JSON_COLUMNS
-from daemon.sinks.twins import TWINS_S, Twins
+from daemon.sinks.plant_store import LARGEST_MESSAGE, PlantStore, row_of
 
 EVENT = {
     **{"key": "k", "machine": "mill/7", "stream": "events", "utc_ms": 1_760_000_400_000, "monotonic_ms": 5},
@@ -40,7 +36,6 @@ REFERENCE = {
     **{"source": "s", "sensor_ids": [1], "degc": [20.0], "program": 1, "work_offset": 54, "power_on_count": 3},
 }
 TOPIC = "toolpoint/mill%2F7/history/events"
-EVENTS = "ALTER TABLE toolpoint.events"
 PATIENCE_S = 60.0
 LONG = "".join(hashlib.sha256(bytes([n])).hexdigest() for n in range(150))
 
@@ -82,13 +77,6 @@ def test_what_is_no_row_is_refused_with_the_field(topic: str, payload: object, s
         row_of(topic, content, "toolpoint")
 
 
-def test_what_is_text_is_text_in_the_database_and_what_is_json_is_json_in_a_message() -> None:
-    script = "".join(text for _, text in scripts())
-    texts = set(re.findall(r"(\w+) text\b", script)) - {"machine", "stream", "generation", "computer"}
-    assert texts == TEXTS
-    assert set(re.findall(r"(\w+) jsonb\b", script)) == JSON_COLUMNS
-
-
 def test_a_row_of_a_machine_with_an_earlier_version_is_taken() -> None:
     stream = STREAMS["cnc"]
     texts, mappings = {"mode": "memory", "run": "started"}, {"macros": {"500": 1.5}}
@@ -112,17 +100,6 @@ def section(server: Server, port: int, folder: Path, **changes: object) -> Plant
     there = {"host": "127.0.0.1", "port": server.port, "tls": False, "password_file": folder / "password"}
     broker = {"host": "127.0.0.1", "port": port, "tls": False} | changes
     return PlantStoreConfig.model_validate({"mqtt": broker, "postgresql": there})
-
-
-def test_a_topic_that_is_no_text_is_left_out(tmp_path: Path) -> None:
-    """A broker that does not look at topics passes it on, again and again where nobody acknowledges it."""
-    there = {"mqtt": {"host": "b", "tls": False}, "postgresql": {"host": "db", "tls": False}}
-    store = PlantStore(PlantStoreConfig.model_validate(there), threading.Event())
-    message = paho.MQTTMessage(topic=b"toolpoint/mill\xff/history/events")
-    message.payload = json.dumps(EVENT).encode()
-    with capture_logs() as said:
-        assert store._row(message) is None
-    assert said[0]["event"] == "store.refused"
 
 
 def test_a_message_that_the_database_refuses_keeps_no_other_back(server: Server, tmp_path: Path) -> None:
@@ -155,45 +132,6 @@ def test_a_message_that_the_database_refuses_keeps_no_other_back(server: Server,
         assert stored() == ["one", "two"]
         newest = server.ask("SELECT machine, stream, extract(epoch FROM newest)::int FROM toolpoint.deliveries")
         assert newest == [("mill/7", "events", 1_760_000_400)]
-    finally:
-        stop.set()
-        store.join()
-        broker.kill()
-
-
-@pytest.mark.parametrize(
-    ("change", "back"),
-    [
-        ("ADD CONSTRAINT known CHECK (machine = 'lathe') NOT VALID", "DROP CONSTRAINT known"),
-        (f"ADD site text NOT NULL DEFAULT 'a'; {EVENTS} ALTER site DROP DEFAULT", "DROP COLUMN site"),
-    ],
-)
-def test_rows_wait_while_a_table_is_altered(server: Server, tmp_path: Path, change: str, back: str) -> None:
-    server.empty()
-    broker, stop, told = plant_broker(tmp_path), threading.Event(), []
-    broker.start()
-    store = threading.Thread(target=PlantStore(section(server, broker.port, tmp_path), stop, told.append).run)
-
-    def publish(text: str) -> None:
-        single(TOPIC, json.dumps(EVENT | {"text": text}), qos=1, hostname="127.0.0.1", port=broker.port)
-
-    def stored() -> list[str]:
-        found = server.ask("SELECT to_regclass('toolpoint.events')")[0][0]
-        return [] if found is None else [text for (text,) in server.ask("SELECT text FROM toolpoint.events ORDER BY 1")]
-
-    def came() -> bool:
-        publish("before")  # again where the store had not subscribed yet
-        return stored() == ["before"]
-
-    try:
-        store.start()
-        wait_until(came)
-        with server.connection() as connection:
-            connection.execute(f"{EVENTS} {change}")
-            publish("meanwhile")
-            wait_until(lambda: "somebody has altered the tables" in told[-1])
-            connection.execute(f"{EVENTS} {back}")
-        wait_until(lambda: stored() == ["before", "meanwhile"])
     finally:
         stop.set()
         store.join()
@@ -269,41 +207,6 @@ def test_a_store_that_cannot_store_says_why_and_its_status_ends_with_1(server: S
         assert 180.0 <= found["late_s"] < 3600.0
 
 
-def test_a_store_whose_tables_change_for_long_is_not_ended_by_its_watchdog(
-    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """An index on a table of years takes longer than the service manager waits for a word."""
-    stop, told = threading.Event(), []
-
-    def tell(status: str) -> None:
-        told.append(status)
-        if status.startswith("cannot store"):
-            stop.set()
-
-    server.empty()
-    slow = (scripts()[-1][0] + 1, "SELECT pg_sleep(2)")
-    monkeypatch.setattr("daemon.sinks.database.scripts", lambda: [*scripts(), slow])
-    monkeypatch.setattr("daemon.sinks.plant_store.TELL_PERIOD_S", 0.2)
-    PlantStore(section(server, free_port(), tmp_path), stop, tell).run()
-    assert len(told) >= 5 and "changes its tables" in told[0] and told[-1].startswith("cannot store"), told
-    server.empty()
-
-
-def test_a_store_that_the_broker_does_not_let_read_says_what_to_look_at(server: Server, tmp_path: Path) -> None:
-    """mosquitto takes its subscription, and the rows for delivered."""
-    (tmp_path / "acl").write_text("topic write toolpoint/#\n")
-    (tmp_path / "acl").chmod(0o600)
-    stop, told = threading.Event(), []
-
-    def tell(status: str) -> None:
-        told.append(status)
-        stop.set()
-
-    with mosquitto(tmp_path, "allow_anonymous true", f"acl_file {tmp_path / 'acl'}") as port:
-        PlantStore(section(server, port, tmp_path), stop, tell).run()
-    assert "no message has come yet" in told[-1] and "read toolpoint/+/history/+" in told[-1]
-
-
 def test_rows_of_two_computers_under_one_name_are_told(server: Server, tmp_path: Path) -> None:
     """Where the machines' users may not read, so that the sinks do not notice it themselves."""
     server.empty()
@@ -329,25 +232,3 @@ def test_rows_of_two_computers_under_one_name_are_told(server: Server, tmp_path:
         stop.set()
         store.join()
         broker.kill()
-
-
-def test_a_store_that_was_replaced_is_no_second_computer() -> None:
-    now_s = [0.0]
-    twins = Twins(lambda: now_s[0])
-    for store in ("a", "a", "", "b", "b", "c"):
-        twins.saw("mill 7", store)
-    assert twins.names() == []
-    now_s[0] = TWINS_S
-    twins.saw("mill 7", "a")
-    assert twins.names() == [], "it was put back"
-    twins.saw("mill 7", "c")
-    assert twins.names() == ["mill 7"]
-    now_s[0] = 2.0 * TWINS_S
-    assert twins.names() == []
-
-
-def test_the_command_refuses_a_file_that_names_no_broker(tmp_path: Path) -> None:
-    path = tmp_path / "plant.yaml"
-    path.write_text("postgresql: {host: db}\n")
-    done = CliRunner().invoke(main, ["fleet", "store", "--config", str(path)])
-    assert done.exit_code == 2 and "mqtt" in done.output and "plant.yaml" in done.output

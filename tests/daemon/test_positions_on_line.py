@@ -12,8 +12,6 @@ from control_rig import SENSOR_IDS, machine
 from thermal_rig import PERIOD_S, Task, model
 
 from config.schema.cnc import AxisPositionConfig
-from daemon.history.reader import HistoryReader
-from daemon.history.tables import Table
 from daemon.messages import SpindleSpeed
 from models.recordings.dataset import Recording
 from models.records import CncMode, CncRun, CncSample
@@ -143,14 +141,6 @@ def test_a_position_that_is_lost_or_in_another_unit_holds_the_output_and_moves_n
     played(tmp_path, play)
 
 
-def test_a_poll_that_stops_is_a_position_that_is_stale(tmp_path: Path) -> None:
-    async def play(bench: Axis) -> None:
-        await bench.rig.minutes(0.5)
-        assert bench.latest.confidence == 0.0 and "needs the position of axis Z" in bench.latest.inhibit
-
-    played(tmp_path, play)
-
-
 def test_one_value_that_the_axis_cannot_have_reached_is_dropped_and_two_hold_until_a_new_reference(
     tmp_path: Path,
 ) -> None:
@@ -241,22 +231,6 @@ def test_a_restart_goes_on_from_where_the_axis_stood_at_the_reference(tmp_path: 
     asyncio.run(main())
 
 
-def test_an_axis_that_comes_to_the_work_and_then_stands_moves_nothing_after_the_reference(tmp_path: Path) -> None:
-    """The mean of the last minute held where it came from: the tool then moved by half of it while nothing did."""
-
-    async def play(bench: Axis) -> None:
-        for z_mm in (300.0, 350.0, 400.0, 400.0):
-            await bench.minutes(PERIOD_S / 60.0, z_mm)
-        await bench.rig.ask("r2")
-        for _ in range(12):
-            await bench.minutes(PERIOD_S / 60.0)
-            assert bench.um == pytest.approx(0.0, abs=1e-9) and bench.latest.confidence == 1.0
-        await bench.minutes(2.0, 450.0)
-        assert bench.um == pytest.approx(UM_PER_MM * 50.0)
-
-    played(tmp_path, play)
-
-
 @pytest.mark.parametrize("polls", [2, 3, 30])
 def test_a_reference_soon_after_a_jump_counts_from_where_the_axis_is_or_says_that_it_does_not_know(
     tmp_path: Path, polls: int
@@ -303,18 +277,6 @@ def test_a_restart_counts_from_no_position_that_was_not_believed(tmp_path: Path)
     played(tmp_path, play)
 
 
-@pytest.mark.parametrize("changes", [{"axis": "X"}, {"number": 5}, {"unit": "inch"}])
-def test_a_restart_does_not_count_from_what_was_read_elsewhere(tmp_path: Path, changes: dict[str, Any]) -> None:
-    async def play(bench: Axis) -> None:
-        await after_a_restart(bench, **changes)
-        assert bench.latest.confidence == 0.0 and "position the work again" in bench.latest.inhibit
-        await bench.rig.ask("r2")
-        await bench.minutes(0.5)
-        assert bench.latest.confidence == 1.0
-
-    played(tmp_path, play)
-
-
 @pytest.mark.parametrize("at_reference", [True, False])
 def test_a_model_with_positions_takes_over_when_they_are_known_and_not_before(
     tmp_path: Path, at_reference: bool
@@ -337,35 +299,6 @@ def test_a_model_with_positions_takes_over_when_they_are_known_and_not_before(
         assert bench.latest.model_id == "made-up" and bench.latest.confidence == 1.0
 
     played(tmp_path, play, model(model_id="without"))
-
-
-def test_recorded_positions_from_which_lags_are_rebuilt_are_judged_as_those_on_line(tmp_path: Path) -> None:
-    async def play(bench: Axis) -> None:
-        for z_mm in (250.0, 9.8e3, 250.0, 10.0, 250.0, 260.0):
-            bench.rig.clock.monotonic_s += 10.0
-            await bench.poll(z_mm)
-        await bench.rig.history.flushed()
-        now_s = bench.rig.clock.monotonic_s
-        (found,) = bench.rig.task._past.means(now_s - 59.5, now_s + 0.5, 60.0)
-        assert found[1][-1] == pytest.approx((250.0 * 3 + 260.0) / 4)
-
-    played(tmp_path, play)
-
-
-def test_positions_are_recorded_and_exported_under_their_names(tmp_path: Path) -> None:
-    async def play(bench: Axis) -> None:
-        await bench.minutes(1.0, 300.0)
-        await bench.minutes(1.0, float("nan"))
-        await bench.rig.history.flushed()
-        with HistoryReader(bench.rig.history.path) as reader:
-            extent = reader.extent("cnc")
-            assert extent is not None
-            found = reader.cnc(extent[0], extent[1] + 1.0).positions_mm["Z_mm"]
-            assert set(found[np.isfinite(found)]) == {250.0, 300.0} and np.isnan(found[-6:]).all()
-            names = [column.name for column in Table(reader, "cnc", extent[0], extent[1] + 1.0).columns]
-            assert "position_Z_mm" in names
-
-    played(tmp_path, play)
 
 
 def test_an_evaluation_plays_the_positions_as_the_daemon_takes_them(tmp_path: Path) -> None:

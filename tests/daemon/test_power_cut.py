@@ -10,7 +10,7 @@ import pytest
 from control_rig import BLOCK, SEQUENCE_A, SEQUENCE_B, Bench, running
 from speed_machine import MACROS, speed_machine
 
-from daemon.cnc.macro_block import LAST_SEQUENCE, begun_after
+from daemon.cnc.macro_block import begun_after
 from daemon.cnc.write_ahead import WriteAheadRecord
 from daemon.history import HistoryReader
 from daemon.spindle_speed.macro_block import OperationKey, SpeedBlock, SpeedPair
@@ -152,11 +152,6 @@ def test_which_numbers_show_a_write_of_ours(first: float | None, last: float, ou
     assert begun_after({1: (42.0, 43.0), 2: (42.0, 43.0)}, {1: first, 2: last}, 1, 2) is ours
 
 
-def test_the_numbers_begin_again() -> None:
-    last = float(LAST_SEQUENCE)
-    assert begun_after({1: (last,), 2: (last,)}, {1: 1.0, 2: 1.0}, 1, 2)
-
-
 # --- the file alone --------------------------------------------------------------------------
 
 AUDIT: Mapping[int, tuple[float, ...]] = {500: (94.0,), 524: (3.0,)}
@@ -178,28 +173,6 @@ def test_the_newer_of_file_and_audit_counts(
     block.keep({500: (43.0, 44.0)}, write_id)
     assert block.newer_of(AUDIT, 94) == (known, lost)
     assert block.newer_of(None, None) == ({500: (43.0, 44.0)}, "#500 44")
-    block.close()
-
-
-def test_a_file_that_an_older_version_has_written_over_has_no_number(tmp_path: Path) -> None:
-    path = tmp_path / "last-block"
-    block = WriteAheadRecord(path)
-    block.keep({500: (43.0, 44.0)}, 95)
-    whole = path.read_bytes()
-    block.keep({500: (44.0, 45.0)})
-    line = path.read_bytes()
-    path.write_bytes(line + whole[len(line) :])
-    assert block.newer_of(AUDIT, 94)[0] == {500: (94.0, 44.0, 45.0), 524: (3.0,)}
-    block.close()
-
-
-def test_a_file_that_was_deleted_is_written_anew(tmp_path: Path) -> None:
-    block = WriteAheadRecord(tmp_path / "last-block")
-    for _ in range(2):
-        block.keep({500: (1.0,)}, 1)
-        (tmp_path / "last-block").unlink()
-    block.keep({500: (2.0,)}, 2)
-    assert block.load() == {500: (2.0,)}
     block.close()
 
 

@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +12,7 @@ from thermal_runs import run
 
 from daemon.cli import main
 from daemon.history.series import EventRecord
-from daemon.simulation.replaying import LEAST_SHARE, WHOLE_SHARE, allowed_change_k, following, played_otherwise
-from daemon.simulation.simulation import as_sent
-from models.recordings.dataset import Recording
-from models.records import FloatArray
+from daemon.simulation.replaying import LEAST_SHARE, following
 
 
 def event(time_s: float, text: str, kind: str = "state") -> EventRecord:
@@ -37,18 +33,6 @@ def test_the_share_of_each_state_comes_from_the_changes() -> None:
     assert "ACTIVE) for 40% of the time played, mostly because: confidence 0.10 is below" in found.warning
 
 
-def test_an_output_that_went_back_is_named_by_its_cause_and_a_sensor_by_its_column() -> None:
-    events = [
-        event(100.0, "ARMED -> ACTIVE: following the estimate"),
-        event(110.0, "ACTIVE -> HOLD: the level of sensor 2 by 2.0 K has changed"),
-        event(115.0, "HOLD -> RETREAT: held too long: the level of sensor 2 by 2.0 K has changed"),
-        event(120.0, "RETREAT -> OFF: the guard applies zero"),
-    ]
-    found = following(events, 100.0, 200.0, names={1: "T1", 2: "Bett [°C]"})
-    assert found.states["OFF"] == pytest.approx(0.8)
-    assert found.why == "held too long: the level of sensor 2 (Bett [°C]) by 2.0 K has changed"
-
-
 @pytest.mark.parametrize(
     ("reason", "advice"),
     [
@@ -65,48 +49,6 @@ def test_a_replay_that_was_not_followed_says_what_to_do(reason: str, advice: str
     assert advice in found.advice(600.0)
     followed = following([event(50.0, "ARMED -> ACTIVE: following the estimate")], 100.0, 200.0)
     assert followed.advice(600.0) == ""
-
-
-def made(degc: FloatArray, sample_s: float) -> Recording:
-    rows = len(degc)
-    return Recording(
-        name="fast.csv",
-        time_s=sample_s * np.arange(float(rows)),
-        speed_rpm=None,
-        temperature_names=("T1", "Motor [°C]"),
-        temperatures_degc=np.column_stack([np.full(rows, 20.0), degc]),
-        displacement_names=("Z",),
-        displacements_um=np.zeros((rows, 1)),
-    )
-
-
-def test_a_sensor_that_is_faster_than_the_default_allows_is_named_with_what_the_machine_needs() -> None:
-    fast = 20.0 + np.array([0.0, 4.0, 8.0, 12.0, 15.0, 17.0, 18.0, 18.5])
-    allowed_k, note = allowed_change_k(made(fast, 60.0), 15.0)
-    assert allowed_k == pytest.approx(1.5) and "Motor [°C] by 1.0 K" in note and "max_change_degc: 1.5" in note
-    spike = np.where(np.arange(8) == 4, 40.0, 20.0)
-    step = np.where(np.arange(8) >= 4, 40.0, 20.0)
-    for harmless in (20.0 + 0.1 * np.arange(8.0), spike, step):
-        assert allowed_change_k(made(harmless, 60.0), 15.0) == (1.0, "")
-
-
-def test_temperatures_that_begin_at_zero_and_are_no_rises_are_named_before_they_are_played() -> None:
-    cold = made(np.concatenate([np.full(8, 0.02), np.linspace(0.02, 3.0, 52)]), 15.0)
-    (said,) = played_otherwise(cold, cold)
-    assert "begins at 0 degC (Motor [°C])" in said and "--from-hours" in said
-    later = cold.part(20, 60)
-    assert played_otherwise(cold, later) == []
-    rises = replace(cold, temperatures_degc=cold.temperatures_degc - cold.temperatures_degc[0])
-    (said,) = played_otherwise(rises, rises.part(20, 60))
-    assert "played from 20 degC on" in said
-
-
-def test_an_output_that_followed_throughout_is_not_warned_of_and_one_without_events_never_did() -> None:
-    whole = following([event(50.0, "ARMED -> ACTIVE: following the estimate")], 100.0, 200.0)
-    assert (whole.active_share, whole.why, whole.warning) == (1.0, "", "")
-    never = following([], 100.0, 200.0)
-    assert (never.active_share, never.states) == (0.0, {"OFF": 1.0}) and "was not switched on" in never.warning
-    assert 0.0 < LEAST_SHARE < WHOLE_SHARE <= 1.0
 
 
 def played(tmp_path: Path, recording: Path, model: Path, *options: str) -> "subprocess.CompletedProcess[str]":
@@ -132,16 +74,6 @@ def test_what_training_makes_is_followed(tmp_path: Path, family: str) -> None:
     found = json.loads(done.stdout)
     assert found["following"]["active_share"] >= LEAST_SHARE and "ACTIVE for" in done.stderr
     assert all(each["with"]["rmse_um"] < each["without"]["rmse_um"] for each in found["channels"].values())
-
-
-def test_rises_are_sent_as_temperatures_whichever_hours_of_them_are_played() -> None:
-    """A node that sends 0 degC is taken for one that was reset; where the axes stand is no temperature."""
-    degc = np.column_stack([np.linspace(0.0, 7.0, 8), np.linspace(100.0, 107.0, 8)])
-    rises = replace(made(degc[:, 0], 60.0), temperature_names=("T1", "Z_mm"), temperatures_degc=degc)
-    rises = replace(rises, axis_positions=("Z_mm",))
-    np.testing.assert_array_equal(as_sent(rises).temperatures_degc, degc + np.array([20.0, 0.0]))
-    warm = replace(rises, temperatures_degc=degc + np.array([3.0, 0.0]))
-    assert as_sent(warm) is warm
 
 
 @pytest.mark.slow

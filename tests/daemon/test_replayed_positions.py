@@ -69,8 +69,3 @@ def test_a_position_that_cannot_be_played_is_named_with_what_to_do(
     with pytest.raises(ValueError, match=r"axis position|cnc\.axis_positions") as refused:
         modelled(written(tmp_path, name), recording(positions))
     assert words in str(refused.value)
-
-
-def test_a_slope_is_not_played_because_nothing_measures_one(tmp_path: Path) -> None:
-    path = written(tmp_path, "", channels=("Z1", "Z1_per_m"), pivots_mm={"Z1_per_m": 250.0})
-    assert modelled(path, recording(())).displacement_names == ("Z1",)

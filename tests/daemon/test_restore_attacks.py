@@ -20,7 +20,6 @@ from other_user import as_root
 
 from config.loader import load_configuration
 from daemon.backup.manifest import BackupError
-from daemon.backup.places import Places
 from daemon.backup.restoring import read_manifest, restore
 from daemon.cli import main
 
@@ -90,18 +89,6 @@ def test_an_archive_names_no_place_to_write_to(installation: Installation, tmp_p
     assert photograph(tmp_path) == before
 
 
-def test_the_installed_configuration_may_stay_in_force(installation: Installation, tmp_path: Path) -> None:
-    files = files_of(installation.backup())
-    content = yaml.safe_load(files["configuration/toolpoint.yaml"])
-    content["history"]["path"] = "/nowhere/history.sqlite"
-    other = packed(tmp_path / "other.tar", {**files, "configuration/toolpoint.yaml": yaml.safe_dump(content).encode()})
-    before = installation.config_path.read_bytes()
-    done = restore(other, installation.config_path, person="anna", replace=True, keep_configuration=True)
-    assert installation.config_path.read_bytes() == before
-    assert installation.configuration.history.path in done.placed
-    assert all(path.resolve().is_relative_to(installation.folder) for path in done.placed)
-
-
 def test_without_an_installed_configuration_a_person_names_the_places(
     installation: Installation, tmp_path: Path
 ) -> None:
@@ -117,13 +104,6 @@ def test_without_an_installed_configuration_a_person_names_the_places(
     configuration = load_configuration(target)
     assert configuration.history.path.is_file() and configuration.compensation.model_file is not None
     assert configuration.compensation.model_file.is_file()
-
-
-def test_a_place_that_differs_from_the_one_given_is_refused(installation: Installation, tmp_path: Path) -> None:
-    given = Places(store=tmp_path / "elsewhere.sqlite")
-    with pytest.raises(BackupError, match=r"history.path is .*history.sqlite in the back-up and .*elsewhere.sqlite"):
-        restore(installation.backup(), installation.config_path, person="anna", replace=True, given=given)
-    assert not (tmp_path / "elsewhere.sqlite").exists()
 
 
 @as_root
@@ -256,14 +236,6 @@ def test_more_than_the_disk_holds_is_refused_unread(installation: Installation, 
     with pytest.raises(BackupError, match="MiB must be free"):
         restore(path, installation.config_path, person="anna", replace=True)
     assert time.process_time() - began_s < 1.0
-
-
-def test_a_size_beyond_a_plain_header_is_read(tmp_path: Path) -> None:
-    """A store of 8 GiB and more has its size in an extended header, as back-ups of version 0.1.0 have."""
-    content = pax("store/history.sqlite", 9 * GIB)
-    assert content[156:157] == tarfile.XHDTYPE
-    with pytest.raises(BackupError, match=r"store/history.sqlite is cut off"):
-        read_manifest(crafted(tmp_path, content))
 
 
 # --- content ---------------------------------------------------------------------------------

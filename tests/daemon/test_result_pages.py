@@ -9,7 +9,7 @@ import numpy as np
 from click.testing import CliRunner
 
 from daemon.cli import main
-from daemon.workbench.thermal.result_pages import Stretch, figures, replay_page
+from daemon.workbench.thermal.result_pages import Stretch, replay_page
 from models.thermal.features import lag_table
 
 NAME = "Weg <Z> [um]"
@@ -21,22 +21,6 @@ def stretch(name: str, hours: float, seed: int) -> Stretch:
     measured = np.cumsum(rng.normal(0.0, 1.0, (len(time_h), 1)), axis=0)
     band = np.full(measured.shape, 2.0)
     return Stretch(name=name, time_h=time_h, measured_um=measured, estimated_um=0.9 * measured, band_um=band)
-
-
-def test_measured_and_estimated_stand_on_one_scale_and_what_is_left_below() -> None:
-    stretches = [stretch("run 1", 2.0, 1), stretch("run 2", 3.0, 2)]
-    (drawn,) = figures(["Z1"], stretches)
-    above, below = drawn.axes
-    assert [curve.label for curve in above.curves] == ["measured", "estimated"]
-    np.testing.assert_allclose(below.curves[0].y, above.curves[0].y - above.curves[1].y)
-    assert drawn.shared_x and np.isnan(above.curves[0].y[120]), "stretches are not joined by a line"
-    assert [word for _, word in above.marks] == ["run 1", "run 2"]
-    assert np.nanmax(np.diff(above.curves[0].x)) < 0.2 and np.nanmin(np.diff(above.curves[0].x)) > 0.0
-
-
-def test_long_runs_are_thinned_out() -> None:
-    (drawn,) = figures(["Z1"], [stretch("run", 400.0, 3)])
-    assert 3000 < len(drawn.axes[0].curves[0].x) <= 6001
 
 
 def recording(path: Path) -> Path:

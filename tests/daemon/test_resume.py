@@ -56,11 +56,6 @@ def test_only_a_short_outage_is_resumed(configuration, clock, outage_s, resumed)
     assert wanted_at_start(point, applied_um, in_time=False) == (False, False, True)
 
 
-def test_a_new_store_leaves_nothing(configuration, clock):
-    point = load_resume_point(configuration, history_of(configuration, clock), clock, block_of(configuration))
-    assert (point.wanted, point.known_macros, point.faults) == ((False,) * 3, None, ())
-
-
 def test_what_was_kept_before_the_write_counts_more_than_the_audit(configuration, clock):
     leave(configuration, clock)
     kept = {500: (7.0, 8.0), 503: (0.001, 0.0012)}
@@ -95,17 +90,3 @@ def test_a_broken_file_is_as_good_as_none(configuration, content):
     path = configuration.history.path.with_name(configuration.history.path.name + ".last-block")
     path.write_bytes(content)
     assert block_of(configuration).load() is None
-
-
-def test_a_shorter_line_over_a_longer_one_is_read_as_what_it_is(configuration):
-    block = block_of(configuration)
-    block.keep({500: (1.0, 2.0, 3.0), 501: (0.123456789,)})
-    block.keep({500: (4.0,)})
-    block.close()
-    assert block.load() == {500: (4.0,)}
-
-
-def test_a_folder_that_cannot_be_written_stops_nothing(tmp_path):
-    block = WriteAheadRecord(tmp_path / "missing" / "last-block")
-    block.keep({500: (1.0,)})
-    assert block.load() is None

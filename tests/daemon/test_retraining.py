@@ -1,7 +1,6 @@
 """Proposals trained on the daemon's own history: measured minus applied, in a process of their own."""
 
 import json
-import shlex
 import subprocess
 import time
 from pathlib import Path
@@ -17,8 +16,6 @@ from pyarrow import parquet
 
 from config.loader import load_configuration
 from config.schema import Configuration
-from config.schema.compensation import RetrainingConfig
-from daemon.app import Daemon
 from daemon.cli import main
 from daemon.history.layout import MachineLayout
 from daemon.history.reader import HistoryReader
@@ -28,7 +25,6 @@ from daemon.model_release.past_recordings import commissioned_um_per_unit, recor
 from daemon.monitor.web.downloads import EXPORTER
 from drivers.clock import SystemClock
 from drivers.files.recording_csv import read_recording
-from models.recordings.dataset import DatasetError
 from models.thermal.family import model_from_json
 from models.thermal.features import lag_table
 
@@ -111,17 +107,6 @@ def test_training_data_are_measured_minus_applied(machine: tuple[Installation, C
     assert recording.temperature_names == tuple(f"T{sensor_id}" for sensor_id in SENSOR_IDS)
 
 
-def test_a_window_of_the_history_is_a_recording_of_its_own(machine: tuple[Installation, Configuration, float]) -> None:
-    _, configuration, begin_s = machine
-    with HistoryReader(configuration.history.path) as reader:
-        (recording,) = recordings_from_history(
-            configuration, reader, None, from_utc_s=begin_s + 3600.0, to_utc_s=begin_s + 7 * 3600.0
-        )
-        assert recording.rows == 360, "in pieces of the history that are joined"
-        with pytest.raises(DatasetError, match="no 120 minutes in a row with displacements of Y1, Z1"):
-            recordings_from_history(configuration, reader, None, from_utc_s=begin_s - 99.0, to_utc_s=begin_s + 99.0)
-
-
 async def test_the_job_trains_in_a_process_of_its_own_when_it_is_due(
     machine: tuple[Installation, Configuration, float],
 ) -> None:
@@ -148,38 +133,6 @@ async def test_the_job_trains_in_a_process_of_its_own_when_it_is_due(
     assert not fresh.due(time.time()), "a restart of the daemon changes nothing"
     await fresh.run_if_due()
     assert len(said) == 1
-
-
-async def test_what_cannot_be_trained_is_said_once(tmp_path: Path) -> None:
-    installation = Installation(tmp_path / "here")
-    configuration = configured(installation)
-    installation.fill()
-    said: list[tuple[str, str]] = []
-    job = RetrainingJob(configuration, installation.config_path, RetrainingConfig(), lambda *words: said.append(words))
-    for _ in range(2):
-        job._attempted_utc_s = float("-inf")
-        await job.run_if_due()
-    ((kind, text),) = said
-    assert kind == "proposal"
-    assert "the history has no 120 minutes in a row with displacements of Y1, Z1" in text
-
-
-def test_a_machine_without_displacements_is_told_so(tmp_path: Path) -> None:
-    installation = Installation(tmp_path / "here")
-    installation.fill()
-    result = CliRunner().invoke(main, ["model", "propose", "--config", str(installation.config_path)])
-    assert result.exit_code == 2
-    assert "no axis follows a displacement channel that is measured" in result.output
-
-
-async def test_the_daemon_that_is_told_to_has_the_job_and_another_has_not(tmp_path: Path) -> None:
-    installation = Installation(tmp_path / "here")
-    daemon = Daemon(load_configuration(installation.config_path), SystemClock(), config_path=installation.config_path)
-    assert daemon._jobs == ()
-    told = Daemon(configured(installation, every_hours=3.0), SystemClock(), config_path=installation.config_path)
-    (job,) = told._jobs
-    job.start()
-    job.stop()
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
@@ -243,22 +196,6 @@ def test_an_exported_recording_is_what_train_reads(
     np.testing.assert_allclose(read.speed_rpm, held.speed_rpm, atol=0.1)
     command = ["thermal", "train", str(run), "--model", "ridge", "-o", str(tmp_path / "model.json")]
     assert CliRunner().invoke(main, command).exit_code == 0
-
-
-def test_channels_of_any_name_are_exported_with_the_map_that_trains_on_them(tmp_path: Path) -> None:
-    names = ("Öl, Weg (Y) [µm]", "Taster #1 [mm]")
-    installation = Installation(tmp_path / "here")
-    begin_s = (time.time() - 60.0 * (MINUTES + 30)) // 60.0 * 60.0
-    fill(configured(installation, names), begin_s)
-    run, model = tmp_path / "run 1.csv", tmp_path / "model.json"
-    exported = ["export", "-c", str(installation.config_path), "--what", "recording", "--from", "-48h", "-o", str(run)]
-    told = CliRunner().invoke(main, exported)
-    assert told.exit_code == 0, told.output
-    command = shlex.split(next(line for line in told.stderr.splitlines() if "thermal train" in line).partition(": ")[2])
-    trained = CliRunner().invoke(main, [*command[1:-4], "--model", "ridge", "-o", str(model)])
-    assert trained.exit_code == 0, trained.output
-    found = model_from_json(model.read_text("utf-8"), "model.json")
-    assert found.channels == names and max(found.band_um) < 8.0
 
 
 @pytest.mark.parametrize(

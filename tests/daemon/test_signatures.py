@@ -74,21 +74,6 @@ def test_without_keys_nothing_is_asked_for_and_it_says_so(signing: Signing) -> N
     assert "no key counts" in signing.run("keys", "list").output
 
 
-def test_what_version_0_1_0_left_is_taken_over_by_signing_it(signing: Signing) -> None:
-    signing.installation.release("ridge-1")
-    signing.key("anna")
-    assert signing.loaded.model is None and "is not signed" in signing.loaded.inhibit
-    assert load_record(signing.installation.configuration)[0] is None
-    declined = CliRunner().invoke(
-        main, ["keys", "sign", "--config", str(signing.installation.config_path)], input="n\nn\n"
-    )
-    assert declined.exit_code == 0 and signing.loaded.model is None
-    assert signing.run("keys", "sign", "--yes").exit_code == 0
-    assert signing.loaded.signed_by == "anna" and "signed by anna" in signing.loaded.in_words()
-    assert load_record(signing.installation.configuration)[0] is not None
-    assert "nothing waits" in signing.run("keys", "sign", "--yes").output
-
-
 def test_a_release_is_signed_by_whoever_makes_it_and_by_nobody_else(signing: Signing) -> None:
     signing.key("anna")
     signing.installation.release("ridge-1", "ridge-2")
@@ -127,14 +112,6 @@ def test_a_release_that_nobody_who_counts_has_signed_is_refused(signing: Signing
         signature.unlink()
     assert signing.loaded.model is None
     assert any(words in signing.loaded.inhibit for words in ("signed", "signature")), signing.loaded.inhibit
-
-
-def test_a_model_beside_a_signed_record_is_the_signed_one(signing: Signing) -> None:
-    signing.key("anna")
-    signing.installation.release("ridge-1", "ridge-2")
-    other = signing.release_path.parents[1] / "0001/model.json"
-    shutil.copyfile(other, signing.release_path.with_name("model.json"))
-    assert signing.loaded.model is None and "is not the file that anna" in signing.loaded.inhibit
 
 
 def test_a_signature_for_one_purpose_is_none_for_another(signing: Signing, tmp_path: Path) -> None:
@@ -213,25 +190,6 @@ def test_a_backup_whose_manifest_was_made_anew_is_refused(signing: Signing) -> N
 
 
 # --- keys ------------------------------------------------------------------------------------
-
-
-def test_a_private_key_stays_with_its_account(signing: Signing, tmp_path: Path) -> None:
-    signing.key("anna")
-    path = tmp_path / "anna/key.pem"
-    assert path.stat().st_mode & 0o777 == 0o600 and path.parent.stat().st_mode & 0o077 == 0
-    assert b"PRIVATE" not in (tmp_path / "here/etc/keys/anna.pub").read_bytes()
-    path.chmod(0o644)
-    with pytest.raises(SigningError, match="is open to other users"):
-        SigningKey.load(path)
-
-
-@pytest.mark.parametrize("name", ["anna", "../anna", "anna.everything"])
-def test_a_key_replaces_none_and_lies_nowhere_else(signing: Signing, name: str) -> None:
-    signing.key("anna")
-    before = sorted(signing.installation.folder.rglob("*.pub"))
-    signing.be("mallory")
-    assert signing.run("keys", "make", name).exit_code != 0
-    assert sorted(signing.installation.folder.rglob("*.pub")) == before
 
 
 def test_what_is_no_key_among_those_that_count_refuses_everything(signing: Signing) -> None:

@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import re
 import signal
 import subprocess
 import sys
@@ -29,14 +28,13 @@ from config.schema.sinks import SinkConfig
 from daemon.history import HistoryWriter, housekeeping
 from daemon.history.cursors import Cursor, cursor_path
 from daemon.sinks.ahead import Ahead
-from daemon.sinks.broker import Broker, Message
 from daemon.sinks.contract import Progress, SinkError
-from daemon.sinks.current import SILENT_AFTER_S, Freshness, current_values
-from daemon.sinks.discovery import BY_NAME, discovery, entities
-from daemon.sinks.mqtt import MqttSink, topic_level
+from daemon.sinks.current import current_values
+from daemon.sinks.discovery import BY_NAME
+from daemon.sinks.mqtt import MqttSink
 from daemon.sinks.outbox import STREAMS, Outbox
-from daemon.sinks.row_messages import JSON_COLUMNS, KEYS
-from daemon.sinks.running import SinkRunner, make_sink
+from daemon.sinks.row_messages import JSON_COLUMNS
+from daemon.sinks.running import SinkRunner
 
 MACHINE = "mill 7"
 BASE = "toolpoint/mill 7"
@@ -139,44 +137,6 @@ def test_what_is_now_is_retained_and_home_assistant_is_told(port: int, tmp_path:
         assert content["state_topic"] == f"{base}/state" and content["availability_topic"] == f"{base}/status"
 
 
-def test_what_others_write_or_delete_there_is_told_again(
-    port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As another sink of the same machine does that ends: its farewell says that the machine is offline."""
-    monkeypatch.setattr("daemon.sinks.mqtt.TELL_AGAIN_S", 0.5)
-    store, stop = tmp_path / "h.sqlite", threading.Event()
-    fill(store, hours=0.2)
-    runner = SinkRunner(section(port, history=[]), store, "shared", stop, wait=lambda _duration_s: stop.wait(0.02))
-    sending = threading.Thread(target=runner.run)
-    with subscriber(port, "toolpoint/shared/#") as listener:
-        sending.start()
-        try:
-            wait_until(lambda: listener.last("toolpoint/shared/status") == "online")
-            words = ["mosquitto_pub", "-h", "127.0.0.1", "-p", str(port), "-r", "-t"]
-            subprocess.run([*words, "toolpoint/shared/status", "-m", "offline"], check=True)
-            subprocess.run([*words, "toolpoint/shared/state", "-n"], check=True)
-            listener.until(lambda messages: (False, "toolpoint/shared/state", "") in messages)
-            wait_until(lambda: listener.last("toolpoint/shared/status") == "online")
-            wait_until(lambda: listener.last("toolpoint/shared/state") != "")
-        finally:
-            stop.set()
-            sending.join()
-
-
-def test_a_machine_and_labels_with_odd_names_stay_apart(tmp_path: Path) -> None:
-    assert [topic_level(name) for name in ("a/b", "a%2Fb", "+#", "Fr\u00e4se 1")] == [
-        "a%2Fb",
-        "a%252Fb",
-        "%2B%23",
-        "Fr\u00e4se 1",
-    ]
-    values = {name: {} for name in BY_NAME} | {"label_degc": {'say "A"': 1.5, "say A": 2.5, "\u00c4": 3.5}}
-    made = list(discovery("ha", "m\u00fchle", "t/m", values, "1"))
-    assert len({topic for topic, _ in made}) == len(made)
-    found = {each.name: jinja2.Template(each.template).render(value_json=values) for each in entities(values)}
-    assert found['Temperature say "A"'] == "1.5" and found["Temperature \u00c4"] == "3.5"
-
-
 def test_rows_wait_until_somebody_subscribes(port: int, tmp_path: Path) -> None:
     store = tmp_path / "h.sqlite"
     fill(store, hours=0.5)
@@ -198,18 +158,6 @@ def test_rows_wait_until_somebody_subscribes(port: int, tmp_path: Path) -> None:
     assert "nobody has subscribed to toolpoint/waiting/history/cnc, toolpoint/waiting/history/d" in problems[0]
     assert "take them out of `history`" in problems[0]
     assert runner.cursor.positions["cnc"].row == 6 and runner.cursor.positions["estimates"].row == 0
-
-
-def test_what_is_not_to_be_sent_counts_as_taken(port: int, tmp_path: Path) -> None:
-    store = tmp_path / "h.sqlite"
-    fill(store, hours=3.0)
-    housekeeping(store, HistoryConfig(pack_after_s=3600.0), EPOCH_S + 5 * 3600.0)
-    cursor = send(section(port, history=[]), store, "quiet")
-    assert cursor.problem == "" and cursor.sent_rows == 0
-    with Outbox(store) as outbox:
-        for stream in STREAMS.values():
-            assert outbox.batch(stream, cursor.positions[stream.name]) is None
-            assert outbox.waiting(stream, cursor.positions[stream.name]) == (0, None)
 
 
 def test_what_was_packed_meanwhile_arrives_and_repeats_have_the_same_key(port: int, tmp_path: Path) -> None:
@@ -353,28 +301,6 @@ def test_state_and_alarm_follow_the_newest_of_write_and_event(tmp_path: Path) ->
         writer.close()
 
 
-def test_a_history_to_which_nothing_is_added_is_not_online(tmp_path: Path) -> None:
-    store, now_s = tmp_path / "h.sqlite", [0.0]
-    fill(store, hours=0.1)
-    freshness = Freshness(lambda: now_s[0])
-    with Outbox(store) as outbox:
-        assert freshness.fresh(outbox)
-        now_s[0] = SILENT_AFTER_S
-        assert not freshness.fresh(outbox)
-        fill(store, start_s=EPOCH_S + 3600.0, hours=0.1)
-        assert freshness.fresh(outbox)
-
-
-def test_the_keys_are_those_of_the_tables() -> None:
-    schema = (Path(__file__).parents[2] / "daemon" / "sinks" / "schema").glob("*.sql")
-    text = "".join(path.read_text("utf-8") for path in schema).replace("reference_points (", "references (")
-    for name, columns in KEYS.items():
-        assert set(columns) <= set(STREAMS[name].columns)
-        if name not in ("events", "displacements"):  # keys with a hash are indexes
-            table = text.split(f"CREATE TABLE {name} (")[1].split("PRIMARY KEY (")[1].split(")")[0]
-            assert set(table.split(", ")) == {"machine", "time", *columns} - {"utc_ms"}
-
-
 # --- refusals ------------------------------------------------------------------------------
 
 
@@ -459,52 +385,6 @@ def test_a_refusal_names_the_key(guarded: int, tmp_path: Path, changes: dict[str
     assert Cursor.read(cursor_path(store, "plant")) == cursor, "the status reads it there"
 
 
-def test_who_may_publish_is_not_refused(guarded: int, tmp_path: Path) -> None:
-    store = tmp_path / "h.sqlite"
-    fill(store, hours=0.1)
-    (tmp_path / "password").write_text("lathe 7\n")
-    known = {"user_name": "plant", "password_file": tmp_path / "password", "history": [], "discovery": None}
-    assert send(section(guarded, **known), store).problem == ""
-
-
-def test_an_answer_to_another_computer_is_not_taken_for_an_acknowledgement(guarded: int, tmp_path: Path) -> None:
-    """While it says again and again whose the name is, each refusal of the broker is still noticed."""
-    (tmp_path / "password").write_text("lathe 7\n")
-    config = section(guarded, user_name="plant", password_file=tmp_path / "password").mqtt
-    broker, stop = Broker(config, "broker", "answering"), threading.Event()
-
-    def answer() -> None:
-        while not stop.wait(0.0005):
-            broker.send(Message(topic=f"{BASE}/store", payload=b"taken 1", qos=0))
-
-    thread = threading.Thread(target=answer)
-    broker.connect(Message(topic=f"{BASE}/status", payload=b"offline"))
-    thread.start()
-    try:
-        for _ in range(50):
-            with pytest.raises(SinkError, match="`user_name` may not publish to forbidden"):
-                broker.publish([Message(topic=topic, payload=b"row") for topic in (f"{BASE}/row", "forbidden")])
-    finally:
-        stop.set()
-        thread.join()
-        broker.close()
-
-
-def test_two_senders_of_one_name_are_told(port: int, tmp_path: Path) -> None:
-    store = tmp_path / "h.sqlite"
-    fill(store, hours=0.1)
-    first, second = (MqttSink(section(port), "twin") for _ in range(2))
-    first.open(Cursor())
-    second.open(Cursor())
-    try:
-        with Outbox(store) as outbox, pytest.raises(SinkError, match="`machine` and the sink's `name` together"):
-            wait_until(lambda: first._broker._lost)
-            first.transfer(outbox, Progress(cursor=Cursor(), save=lambda _cursor: None))
-    finally:
-        first.close()
-        second.close()
-
-
 def follow(config: SinkConfig, path: Path, stop: threading.Event) -> tuple[SinkRunner, threading.Thread]:
     """A sink that goes on until it is told to stop."""
     runner = SinkRunner(config, path, "twins", stop, wait=lambda _duration_s: stop.wait(0.05))
@@ -543,47 +423,6 @@ def test_a_second_computer_of_one_name_is_refused_and_waits_until_the_first_is_g
             working.join()
 
 
-def test_after_a_restart_rows_do_not_wait_for_an_answer(
-    port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Nor after a loss: whose rows were taken a moment ago has the name."""
-    store = tmp_path / "h.sqlite"
-    fill(store, hours=0.1)
-    with subscriber(port, "toolpoint/restarted/history/#") as listener:
-        assert send(section(port), store, "restarted").problem == ""
-        before = len(rows(listener.messages, "cnc"))
-        monkeypatch.setattr("daemon.sinks.one_name.ANSWER_S", 1e3)
-        fill(store, start_s=EPOCH_S + 7200.0, hours=0.5)
-        monkeypatch.setattr("daemon.sinks.one_name._held", set(), raising=False)  # as in a process that just began
-        ended = threading.Thread(target=send, args=(section(port), store, "restarted"), daemon=True)
-        ended.start()
-        ended.join(PATIENCE_S)
-        assert not ended.is_alive(), "it waits for an answer"
-        wait_until(lambda: len(rows(listener.messages, "cnc")) > before)
-
-
-def test_the_rights_that_the_guide_gives_are_enough_to_notice_a_second_computer(tmp_path: Path) -> None:
-    guide = (Path(__file__).parents[2] / "docs/how-to/run-a-plant.md").read_text("utf-8")
-    (rights,) = re.findall(r"```\nuser store\n.*?(user mill-7\n.*?)```", guide, re.DOTALL)
-    (tmp_path / "acl").write_text(rights)
-    (tmp_path / "passwords").write_text("mill-7:own\n")
-    (tmp_path / "password").write_text("own\n")
-    subprocess.run(["mosquitto_passwd", "-U", str(tmp_path / "passwords")], check=True)
-    for name in ("acl", "passwords"):
-        (tmp_path / name).chmod(0o600)
-    lines = ("allow_anonymous false", f"password_file {tmp_path / 'passwords'}", f"acl_file {tmp_path / 'acl'}")
-    known = {"user_name": "mill-7", "password_file": tmp_path / "password", "history": []}
-    with mosquitto(tmp_path, *lines) as port:
-        first, second = (MqttSink(section(port, **known), MACHINE) for _ in range(2))
-        try:
-            first.open(Cursor(generation="a" * 32))
-            with pytest.raises(SinkError, match="another store sends as mill 7"):
-                second.open(Cursor(generation="b" * 32))
-        finally:
-            second.close()
-            first.close()
-
-
 def test_a_row_tells_of_which_store_it_is(port: int, tmp_path: Path) -> None:
     store, heard = tmp_path / "h.sqlite", []
     fill(store, hours=0.1)
@@ -598,47 +437,6 @@ def test_a_row_tells_of_which_store_it_is(port: int, tmp_path: Path) -> None:
     wait_until(lambda: len(heard) == 1 + cursor.sent_rows)
     client.loop_stop()
     assert cursor.sent_rows > 0 and heard[1:] == cursor.sent_rows * [{"store": cursor.generation}]
-
-
-def test_two_computers_of_one_name_that_come_back_together_do_not_both_send(tmp_path: Path) -> None:
-    stores = tmp_path / "1.sqlite", tmp_path / "2.sqlite"
-    for store in stores:
-        fill(store, hours=0.5)
-    ends, broker = (threading.Event(), threading.Event()), Mosquitto(tmp_path, OPEN)
-    broker.start()
-    followed = [follow(section(broker.port), *each) for each in zip(stores, ends, strict=True)]
-    try:
-        for _ in range(3):
-            wait_until(lambda: sorted("another store" in each.cursor.problem for each, _ in followed) == [False, True])
-            broker.kill()
-            wait_until(
-                lambda: all("lost" in each.cursor.problem or "port" in each.cursor.problem for each, _ in followed)
-            )
-            broker.start()
-    finally:
-        for end, (_, thread) in zip(ends, followed, strict=True):
-            end.set()
-            thread.join()
-        broker.kill()
-
-
-def test_who_may_not_read_sends_all_the_same(tmp_path: Path, port: int) -> None:
-    """Nobody answers it, so a second one is not noticed, which the log says; two sinks of one store are no second."""
-    (tmp_path / "acl").write_text("topic write toolpoint/mill 7/#\ntopic write homeassistant/#\n")
-    (tmp_path / "acl").chmod(0o600)
-    store = tmp_path / "h.sqlite"
-    fill(store, hours=0.1)
-    known = {"history": []}
-    with mosquitto(tmp_path, OPEN, f"acl_file {tmp_path / 'acl'}") as closed:
-        assert send(section(closed, **known), store).problem == ""
-    ends = threading.Event(), threading.Event()
-    other = section(port, **known).model_copy(update={"name": "other"})
-    followed = [follow(each, store, end) for each, end in zip((section(port, **known), other), ends, strict=True)]
-    wait_until(lambda: all(each.cursor.acknowledged_utc_s for each, _ in followed))
-    for end, (each, thread) in zip(ends, followed, strict=True):
-        end.set()
-        thread.join()
-        assert each.cursor.problem == ""
 
 
 def test_tls_takes_a_broker_that_is_vouched_for_and_no_other(
@@ -660,10 +458,3 @@ def test_tls_takes_a_broker_that_is_vouched_for_and_no_other(
         assert "`host` must be a name in its certificate" in problem(host="127.0.0.1")
         assert "none that `ca_certificate` vouches for" in problem(ca_certificate=None)
         assert "set `tls: true`" in problem(tls=False, ca_certificate=None)
-
-
-def test_the_section_says_which_library_is_loaded() -> None:
-    config = section(1)
-    assert isinstance(make_sink(config, MACHINE), MqttSink)
-    assert section(None).mqtt.server_port == 1883 and "NOT encrypted" in config.exposed
-    assert section(None, tls=True).mqtt.server_port == 8883 and section(1, tls=True).exposed == ""

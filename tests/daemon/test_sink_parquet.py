@@ -1,11 +1,8 @@
 """The history as Parquet files by machine and day: whole files, each row once, read by DuckDB as the page says."""
 
-import contextlib
-import io
 import re
 import resource
 import threading
-from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -24,9 +21,8 @@ from daemon.sinks.running import SinkRunner
 
 pyarrow = pytest.importorskip("pyarrow", reason="pyarrow is not installed")
 parquet = pytest.importorskip("pyarrow.parquet")
-from pyarrow import fs  # noqa: E402 - needs pyarrow
 
-from daemon.sinks.parquet import ParquetSink, _ObjectStore, machine_folder  # noqa: E402 - needs pyarrow
+from daemon.sinks.parquet import ParquetSink  # noqa: E402 - needs pyarrow
 
 PAGE = Path(__file__).parents[2] / "docs/how-to/send-history-to-a-plant.md"
 DAY_S = 86_400.0
@@ -138,25 +134,6 @@ def test_a_store_that_lost_rows_does_not_take_them_from_the_files(tmp_path: Path
     assert files(folder) == before | {references: before[references] + 1}, "the new store's own reference is new"
 
 
-def test_what_a_file_has_and_the_store_has_not_stays_in_it(tmp_path: Path) -> None:
-    """Two computers that have the same name; or a day that was deleted in part before a row of it came."""
-    first, second, folder = tmp_path / "1.sqlite", tmp_path / "2.sqlite", tmp_path / "files"
-    fill(first, MIDNIGHT_S, 24.0)
-    fill(second, MIDNIGHT_S + 7.0, 12.0)
-    assert send(first, folder, MIDNIGHT_S + 2 * DAY_S).problem == ""
-    place = "machine=mill%2F7 north/2025-10-09.parquet"
-    before = parquet.ParquetFile(folder / "temperatures" / place).read().to_pylist()
-    assert send(second, folder, MIDNIGHT_S + 2 * DAY_S).problem == ""
-    for kind in ("cnc", "displacements", "estimates", "events", "temperatures", "writes"):
-        assert files(folder)[f"{kind}/{place}"] == 144 + 72, kind
-    after = parquet.ParquetFile(folder / "temperatures" / place).read().to_pylist()
-    assert [row for row in after if row in before] == before and len(after) == SENSORS * (144 + 72)
-    found = files(folder)
-    fill(first, MIDNIGHT_S + DAY_S, 0.5)
-    assert send(first, folder, MIDNIGHT_S + 3 * DAY_S).problem == ""
-    assert {name: found[name] for name in found} == {name: files(folder)[name] for name in found}
-
-
 def test_a_full_disk_leaves_no_half_file(tmp_path: Path) -> None:
     store, folder = tmp_path / "h.sqlite", tmp_path / "files"
     fill(store, MIDNIGHT_S, 24.0)
@@ -192,70 +169,6 @@ def test_what_is_no_file_of_this_sink_is_named_and_left_alone(tmp_path: Path, co
     assert place.read_bytes() == before
     place.unlink()
     assert send(store, folder, MIDNIGHT_S + 2 * DAY_S).problem == "" and len(files(folder)) == 7
-
-
-@pytest.mark.parametrize(
-    "machine", ["a/b" * 60, "数控机床第三车间" * 3 + "/七", "数控机床" * 50, "\U0001f3ed" * 200, "é" * 200]
-)
-def test_a_machine_with_a_long_name_of_any_script_has_its_files(tmp_path: Path, machine: str) -> None:
-    duckdb = pytest.importorskip("duckdb", reason="duckdb is not installed")
-    store, folder = tmp_path / "h.sqlite", tmp_path / "files"
-    fill(store, MIDNIGHT_S, 0.5)
-    stop, section = threading.Event(), config(folder)
-
-    def sink(section: SinkConfig, machine: str) -> ParquetSink:
-        return ParquetSink(section, machine, now_utc_s=lambda: MIDNIGHT_S + 2 * DAY_S)
-
-    runner = SinkRunner(section, store, machine, stop, sink, wait=lambda _duration_s: stop.set())
-    runner.run()
-    assert runner.cursor.problem == "" and len(files(folder)) == 7
-    glob = f"{folder}/cnc/*/*.parquet"
-    found = duckdb.sql(f"SELECT DISTINCT machine FROM read_parquet('{glob}', hive_partitioning = true)").fetchall()
-    begins = found[0][0].partition("~")[0]
-    assert machine.startswith(begins) and len(begins) >= min(len(machine), 50)
-    assert len({machine_folder(each) for each in (machine, machine[:-1], machine[:-1] + "x")}) == 3
-
-
-def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
-    store = tmp_path / "h.sqlite"
-    fill(store, MIDNIGHT_S, 1.0)
-    stop = threading.Event()
-    section = config(tmp_path / "files")
-    (tmp_path / "files").rmdir()
-    runner = SinkRunner(section, store, MACHINE, stop, wait=lambda _duration_s: stop.set())
-    runner.run()
-    assert f"sink files: {tmp_path / 'files'} cannot be reached: there is no such folder" in runner.cursor.problem
-
-
-@pytest.mark.parametrize("folder", ["history", "s3:/plant", "http://plant", ""])
-def test_a_place_is_a_folder_from_the_root_or_a_bucket(folder: str) -> None:
-    with pytest.raises(ValueError, match="folder"):
-        SinkConfig.model_validate({"name": "files", "driver": "parquet", "parquet": {"folder": folder}})
-
-
-def test_an_object_store_that_loses_a_part_does_not_count_as_one_that_took_it(tmp_path: Path) -> None:
-    class Losing:
-        """A store that says that all is well."""
-
-        lost = 1
-
-        def __init__(self) -> None:
-            self._files = fs.LocalFileSystem()
-
-        def get_file_info(self, path: str) -> fs.FileInfo:
-            return self._files.get_file_info(path)
-
-        @contextlib.contextmanager
-        def open_output_stream(self, path: str) -> Iterator[io.BytesIO]:
-            yield (content := io.BytesIO())
-            Path(path).write_bytes(content.getvalue()[: -self.lost or None])
-
-    store = _ObjectStore(f"file://{tmp_path}")
-    store._files = Losing()  # type: ignore[assignment]
-    with pytest.raises(OSError, match="of 9 bytes 8 stand there"):
-        store.put("day", b"a whole d")
-    store._files.lost = 0  # type: ignore[attr-defined]
-    store.put("day", b"a whole d")
 
 
 @pytest.mark.wires
@@ -354,24 +267,6 @@ def test_an_object_store_that_refuses_is_named_without_its_keys(tmp_path: Path, 
     assert "sink files: s3://...@plant/history" in problem and "temperatures/machine=mill%2F7 north" in problem
     assert said in problem and "SECRET" not in problem and "SECRET" not in section.place
     assert runner.cursor.sent_rows == 0
-
-
-@pytest.mark.parametrize(
-    ("folder", "said"),
-    [
-        ("s3://AKIA:ab/SECRET+x@plant/history", "/ is written %2F and + %2B"),
-        ("s3://AKIA:ab%zzSECRET@plant/history?region=x", "/ is written %2F and + %2B"),
-        ("s3://plant/history?access_key=AKIA&secret_key=SECRET&region=x", "Unexpected query parameter"),
-    ],
-)
-def test_an_address_that_is_none_is_named_without_its_keys(tmp_path: Path, folder: str, said: str) -> None:
-    """Every second key of Amazon's has a / or + in it, which an address holds in another form only."""
-    section = SinkConfig.model_validate({"name": "files", "driver": "parquet", "parquet": {"folder": folder}})
-    with pytest.raises(SinkError) as refused:
-        ParquetSink(section, MACHINE).open(Cursor())
-    assert said in str(refused.value) and "plant/history" in section.place
-    for shown in (str(refused.value), section.place):
-        assert "SECRET" not in shown and "AKIA" not in shown
 
 
 def test_the_examples_of_the_page_run_on_the_files(tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -23,32 +22,22 @@ import yaml
 from certificates import make_certificate
 from filled_store import add, fill
 from history_records import EPOCH_S, SMALL, StillClock
-from mosquitto import wait_until
 from postgresql import PASSWORD, PATIENCE_S, Server, postgresql
 
 from config.sample import sample_configuration
-from config.schema.plant_store import PlantStoreConfig
 from config.schema.service import HistoryConfig
 from config.schema.sinks import PostgresqlConfig, SinkConfig
 from daemon.history import HistoryReader, HistoryWriter, housekeeping
-from daemon.history.cursors import Cursor, Position, cursor_path
+from daemon.history.cursors import Cursor, cursor_path
 from daemon.sinks.computer import this_computer
 from daemon.sinks.contract import SinkError
-from daemon.sinks.database import PARTITIONED, STORE, Database, authorities, scripts
+from daemon.sinks.database import Database, authorities, scripts
 from daemon.sinks.outbox import STREAMS
-from daemon.sinks.plant_store import _put, row_of, store_status
 from daemon.sinks.postgresql import PostgresqlSink
 from daemon.sinks.postgresql_refusals import refusal
 from daemon.sinks.running import SinkRunner, make_sink
-from models.records import ProbeSample
 
 MACHINE = "mill 7"
-NOTE = json.dumps(
-    {
-        **{"key": "k", "machine": "mill 7", "stream": "events", "utc_ms": 1_760_000_400_000, "monotonic_ms": 5},
-        **{"kind": "note", "text": "warm", "person": None},
-    }
-).encode()
 CONFIG = HistoryConfig(pack_after_s=3600.0)
 
 
@@ -279,22 +268,6 @@ def test_two_machines_of_one_name_do_not_mix_their_rows(server: Server, tmp_path
     assert "another store" in send(server, tmp_path, first).problem, "it comes back"
 
 
-def test_two_machines_of_one_name_do_not_mix_while_a_plants_store_is_connected(server: Server, tmp_path: Path) -> None:
-    first, second = tmp_path / "1.sqlite", tmp_path / "2.sqlite"
-    for store in (first, second):
-        fill(store, hours=0.5)
-    assert send(server, tmp_path, first).problem == ""
-    with contextlib.closing(Database(section(server, tmp_path).postgresql, "database", STORE)) as database:
-        database.open()
-        assert "another store" in send(server, tmp_path, second).problem
-        a_minute_later(server)
-        row = row_of("toolpoint/mill 7/history/events", NOTE, "toolpoint")
-        _put(database, [row])
-        assert send(server, tmp_path, second).problem == "", "the first is off; what comes over a broker is another way"
-        late = store_status(PlantStoreConfig(mqtt={"host": "broker"}, postgresql=section(server, tmp_path).postgresql))
-        assert late["running"] and late["machines"][0]["stored_utc_s"] > time.time() - 60.0
-
-
 class Copied(PostgresqlSink):
     """The sink of a computer whose disk is a copy of another one's."""
 
@@ -376,86 +349,6 @@ def test_wrong_clocks_are_stored_beside_the_months(server: Server, tmp_path: Pat
     assert server.ask("SELECT count(*) FROM toolpoint.cnc_2025_10") == [(12,)]
 
 
-def test_rows_of_a_month_whose_table_is_dropped_meanwhile_keep_no_other_back(server: Server, tmp_path: Path) -> None:
-    """As the manual has it to forget a month; the sink that is connected puts what follows beside the months."""
-    store, stop = tmp_path / "h.sqlite", threading.Event()
-    fill(store, hours=1.0)
-    config = section(server, tmp_path)
-    runner = SinkRunner(config, store, MACHINE, stop, wait=lambda _duration_s: stop.wait(0.02))
-    thread = threading.Thread(target=runner.run)
-    thread.start()
-    try:
-        wait_until(lambda: runner.cursor.positions.get("events", Position()).row == 12)
-        with server.connection() as connection:
-            connection.execute("DROP TABLE toolpoint.cnc_2025_10")
-        fill(store, start_s=EPOCH_S + 3600.0, hours=1.0)
-        wait_until(lambda: runner.cursor.positions.get("events", Position()).row == 24)
-    finally:
-        stop.set()
-        thread.join()
-    assert counts(server)["cnc"] == 12
-    fill(store, start_s=EPOCH_S + 7200.0, hours=1.0)
-    assert send(server, tmp_path, store).problem == ""
-    assert counts(server)["cnc"] == 24 and counts(server)["estimates"] == 36
-
-
-@pytest.mark.parametrize("fails", [False, True])
-def test_hypertables_take_the_place_of_partitions_where_the_database_makes_them(
-    server: Server, tmp_path: Path, fails: bool
-) -> None:
-    """A function stands for TimescaleDB, which Debian does not have: what it is called with, and that rows go in."""
-    store, body = tmp_path / "h.sqlite", "INSERT INTO public.made VALUES ($1, $2, $3)"
-    fill(store, hours=1.0)
-    with server.connection() as connection:
-        connection.execute("CREATE TABLE public.made (relation regclass, named name, chunk interval)")
-        connection.execute(
-            "CREATE FUNCTION public.create_hypertable(relation regclass, time_column_name name, chunk_time_interval "
-            f"interval, create_default_indexes boolean) RETURNS void LANGUAGE sql AS '{body + '; SELECT 1/0' * fails}'"
-        )
-    try:
-        assert [send(server, tmp_path, store).problem for _ in range(2)] == ["", ""]
-        made = {row[0].removeprefix("toolpoint.") for row in server.ask("SELECT relation::text FROM public.made")}
-        (kinds,) = server.ask("SELECT array_agg(DISTINCT relkind::text) FROM pg_class WHERE relname = 'temperatures'")
-        assert (made, kinds[0]) == ((set(), ["p"]) if fails else (set(PARTITIONED), ["r"]))
-        assert counts(server)["temperatures"] == 24 and counts(server)["cnc"] == 12
-    finally:
-        server.empty()
-        with server.connection() as connection:
-            connection.execute("DROP FUNCTION public.create_hypertable; DROP TABLE public.made")
-
-
-def test_two_machines_make_the_schema_at_the_same_time(server: Server, tmp_path: Path) -> None:
-    config, problems = section(server, tmp_path), []
-
-    def work(number: int) -> None:
-        stop = threading.Event()
-        store = tmp_path / f"{number}.sqlite"
-        runner = SinkRunner(config, store, f"m{number}", stop, wait=lambda _duration_s: stop.set())
-        runner.run()
-        problems.append(runner.cursor.problem)
-
-    for number in range(3):
-        fill(tmp_path / f"{number}.sqlite", hours=1.0)
-    threads = [threading.Thread(target=work, args=(number,)) for number in range(3)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert problems == ["", "", ""] and counts(server)["cnc"] == 36
-
-
-def test_a_probe_value_has_numbers_where_a_write_has_json(server: Server, tmp_path: Path) -> None:
-    store = tmp_path / "h.sqlite"
-    writer = HistoryWriter(store, clock=StillClock(), machine=SMALL)
-    writer.start()
-    numbers = {"deviation_um": 2.0, "applied_um": -6.0, "thermal_error_um": 6.5}
-    known = {"axis": "Z", "reference_id": "r", "accepted": True, "reason": ""}
-    writer.probe(ProbeSample(time=make.instant(EPOCH_S), **numbers, **known))
-    writer.close()
-    query = "SELECT deviation_um, applied_um, thermal_error_um FROM toolpoint.probes"
-    assert send(server, tmp_path, store).problem == "" and server.ask(query) == [(2.0, -6.0, 6.5)]
-
-
 def test_a_number_without_end_in_one_row_keeps_no_other_back(server: Server, tmp_path: Path) -> None:
     """JSON has no word for it, and the database takes none: in a macro or a displacement it is null."""
     store = tmp_path / "h.sqlite"
@@ -494,14 +387,6 @@ def test_a_refusal_names_the_key(server: Server, tmp_path: Path, changes: dict[s
     assert Cursor.read(cursor_path(store, "plant")) == cursor, "the status reads it there"
 
 
-def test_a_server_that_is_full_of_connections_names_the_setting(server: Server) -> None:
-    """The machines of a plant have a connection each."""
-    with contextlib.ExitStack() as stack, pytest.raises(psycopg.OperationalError) as refused:
-        for _ in range(200):
-            stack.enter_context(server.connection("postgres"))
-    assert "raise its max_connections" in refusal(refused.value, PostgresqlConfig(host="db"))
-
-
 @pytest.mark.parametrize(
     ("said", "advised"),
     [
@@ -535,20 +420,6 @@ def test_a_database_of_an_earlier_version_is_brought_up_to_date_and_keeps_its_ro
     assert server.ask("SELECT version FROM toolpoint.schema_versions ORDER BY 1") == [(n,) for n, _ in scripts()]
     found = server.ask("SELECT machine, count(*), count(positions_mm) FROM toolpoint.cnc GROUP BY 1 ORDER BY 1")
     assert [row[0] for row in found] == ["mill 6", MACHINE] and found[0][1:] == (1, 0) and found[1][1] > 1
-
-
-def test_a_change_of_the_schema_may_take_longer_than_an_answer(
-    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As an index on a table of years does."""
-    section_of_it = section(server, tmp_path, timeout_s=0.1).postgresql
-    assert section_of_it is not None
-    slow = (scripts()[-1][0] + 1, "SELECT pg_sleep(1)")
-    monkeypatch.setattr("daemon.sinks.database.scripts", lambda: [*scripts(), slow])
-    with contextlib.closing(Database(section_of_it, "database", "slow")) as database:
-        database.open()
-        with pytest.raises(psycopg.errors.QueryCanceled):
-            database.connection.execute("SELECT pg_sleep(1)")
 
 
 def test_a_newer_schema_is_refused_and_left_alone(server: Server, tmp_path: Path) -> None:
@@ -594,37 +465,6 @@ def test_a_table_that_somebody_altered_is_named_and_loses_no_row(server: Server,
     assert after.positions["cnc"] == before.positions["cnc"]
 
 
-def test_a_table_may_have_columns_of_its_own(server: Server, tmp_path: Path) -> None:
-    store = tmp_path / "h.sqlite"
-    fill(store, hours=0.5)
-    send(server, tmp_path, store)
-    with server.connection() as connection:
-        for name in STREAMS:
-            table = "reference_points" if name == "references" else name
-            connection.execute(f"ALTER TABLE toolpoint.{table} ADD COLUMN site text NOT NULL DEFAULT 'north'")
-    fill(store, start_s=EPOCH_S + 3600.0, hours=0.5)
-    assert send(server, tmp_path, store).problem == ""
-    assert server.ask("SELECT count(*), min(site), max(site) FROM toolpoint.cnc") == [(12, "north", "north")]
-
-
-def test_a_role_that_may_not_create_is_named(server: Server, tmp_path: Path) -> None:
-    store = tmp_path / "h.sqlite"
-    fill(store, hours=0.1)
-    with server.connection() as connection, contextlib.suppress(psycopg.errors.DuplicateObject):
-        connection.execute("CREATE ROLE guest LOGIN PASSWORD 'lathe 7'")
-    assert "`user_name` guest may not" in send(server, tmp_path, store, user_name="guest").problem
-
-
-def test_a_role_without_rights_in_the_schema_is_named(server: Server, tmp_path: Path) -> None:
-    store = tmp_path / "h.sqlite"
-    fill(store, hours=0.1)
-    assert send(server, tmp_path, store).problem == ""
-    with server.connection() as connection, contextlib.suppress(psycopg.errors.DuplicateObject):
-        connection.execute("CREATE ROLE guest LOGIN PASSWORD 'lathe 7'")
-    refused = send(server, tmp_path, store, user_name="guest").problem
-    assert "`user_name` guest may not" in refused and "schema toolpoint" in refused
-
-
 @pytest.fixture
 def encoded(server: Server, request: pytest.FixtureRequest) -> Iterator[str]:
     """A database in another encoding: that of a cluster that was made without a locale, for one."""
@@ -652,20 +492,6 @@ def test_a_database_without_an_encoding_gets_every_text_as_it_is(server: Server,
         assert ask("SELECT um->>'長' FROM toolpoint.displacements ORDER BY time LIMIT 1").fetchone() == ("0.0",)
 
 
-@pytest.mark.parametrize("encoded", ["UTF8"], indirect=True)
-def test_a_store_of_another_database_of_the_server_is_not_taken_for_the_one(
-    server: Server, tmp_path: Path, encoded: str
-) -> None:
-    one, other = (section(server, tmp_path, database=name).postgresql for name in ("toolpoint", encoded))
-    assert one is not None and other is not None
-    with contextlib.closing(Database(other, "database", STORE)) as database:
-        database.open()
-        running = [
-            store_status(PlantStoreConfig(mqtt={"host": "broker"}, postgresql=each))["running"] for each in (one, other)
-        ]
-    assert running == [False, True]
-
-
 @pytest.mark.parametrize("encoded", ["LATIN1"], indirect=True)
 def test_a_database_that_cannot_hold_every_text_is_refused_before_it_holds_anything(
     server: Server, tmp_path: Path, encoded: str
@@ -677,87 +503,6 @@ def test_a_database_that_cannot_hold_every_text_is_refused_before_it_holds_anyth
     assert refused.sent_rows == 0
     with server.connection(encoded) as connection:
         assert connection.execute("SELECT to_regnamespace('toolpoint')").fetchone() == (None,)
-
-
-@pytest.mark.parametrize(
-    ("change", "back", "said"),
-    [
-        ("ROLE guest NOLOGIN", "ROLE guest LOGIN", "let `user_name` log in"),
-        ("ROLE guest CONNECTION LIMIT 0", "ROLE guest CONNECTION LIMIT -1", "raise that limit"),
-        ("DATABASE toolpoint CONNECTION LIMIT 0", "DATABASE toolpoint CONNECTION LIMIT -1", "raise that limit"),
-    ],
-)
-def test_a_role_that_is_kept_out_is_not_taken_for_one_that_is_unknown(
-    server: Server, tmp_path: Path, change: str, back: str, said: str
-) -> None:
-    store = tmp_path / "h.sqlite"
-    fill(store, hours=0.1)
-    with server.connection() as connection:
-        with contextlib.suppress(psycopg.errors.DuplicateObject):
-            connection.execute("CREATE ROLE guest LOGIN PASSWORD 'lathe 7'")
-        connection.execute(f"ALTER {change}")
-        try:
-            assert said in send(server, tmp_path, store, user_name="guest").problem
-            connection.execute("REVOKE CONNECT ON DATABASE toolpoint FROM PUBLIC")
-            connection.execute(f"ALTER {back}")
-            assert "let `user_name` connect" in send(server, tmp_path, store, user_name="guest").problem
-        finally:
-            connection.execute("GRANT CONNECT ON DATABASE toolpoint TO PUBLIC")
-            connection.execute(f"ALTER {back}")
-
-
-@pytest.mark.parametrize("tls", [True, False])
-def test_a_server_of_another_kind_is_named(server: Server, tmp_path: Path, tls: bool) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-
-        def answer() -> None:
-            connection, _ = listening.accept()
-            with connection:
-                connection.recv(1000)
-                connection.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")
-
-        thread = threading.Thread(target=answer)
-        thread.start()
-        database = Database(PostgresqlConfig(host="127.0.0.1", port=listening.getsockname()[1], tls=tls), "there", "x")
-        with pytest.raises(SinkError, match="what answers there is no PostgreSQL: check `host` and `port`"):
-            database.open()
-        thread.join()
-
-
-def test_a_database_that_is_closed_and_a_table_that_is_locked_are_named(server: Server, tmp_path: Path) -> None:
-    store = tmp_path / "h.sqlite"
-    fill(store, hours=0.1)
-    with server.connection("postgres") as connection:
-        connection.execute("ALTER DATABASE toolpoint ALLOW_CONNECTIONS false")
-        try:
-            assert "`database` is closed to everybody" in send(server, tmp_path, store).problem
-        finally:
-            connection.execute("ALTER DATABASE toolpoint ALLOW_CONNECTIONS true")
-    assert send(server, tmp_path, store).problem == ""
-    with server.connection() as connection, connection.transaction():
-        connection.execute("LOCK TABLE toolpoint.schema_versions")
-        assert "somebody keeps a table locked" in send(server, tmp_path, store, timeout_s=0.1).problem
-
-
-@pytest.mark.parametrize("encoded", ["LATIN1"], indirect=True)
-def test_a_database_of_before_that_cannot_hold_a_text_says_what_to_do(
-    server: Server, tmp_path: Path, encoded: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    store = tmp_path / "h.sqlite"
-    fill(store, hours=0.1)
-    with monkeypatch.context() as earlier:
-        earlier.setattr("daemon.sinks.database.ENCODINGS", ("LATIN1",))
-        assert send(server, tmp_path, store, database=encoded).problem == ""
-    writer = HistoryWriter(store, clock=StillClock(), machine=SMALL)
-    writer.start()
-    writer.event("note", "長").result(30.0)
-    writer.close()
-    assert "this `database` cannot hold every text" in send(server, tmp_path, store, database=encoded).problem
-
-
-def test_the_section_says_which_library_is_loaded() -> None:
-    config = SinkConfig.model_validate({"name": "p", "driver": "postgresql", "postgresql": {"host": "db"}})
-    assert isinstance(make_sink(config, MACHINE), PostgresqlSink)
 
 
 def test_a_server_that_hangs_in_the_middle_is_given_up_and_tried_again(server: Server, tmp_path: Path) -> None:
@@ -772,19 +517,6 @@ def test_a_server_that_hangs_in_the_middle_is_given_up_and_tried_again(server: S
         finally:
             os.kill(pid, signal.SIGCONT)
         assert "raise `timeout_s`" in str(database.refused(said.value))
-
-
-@pytest.mark.parametrize("password", [" lathe", "lathe ", "\tlathe", "l\u00e4the \u6f22", "q'\"\\`$%&:@/?#", "a\u00a0"])
-def test_a_password_is_taken_as_it_stands_in_its_file(server: Server, tmp_path: Path, password: str) -> None:
-    server.empty()
-    with server.connection() as connection:
-        connection.execute("DROP ROLE IF EXISTS odd")
-        connection.execute(psycopg.sql.SQL("CREATE ROLE odd LOGIN SUPERUSER PASSWORD {}").format(password))
-    (tmp_path / "odd").write_text(f"{password}\n")
-    store = tmp_path / "h.sqlite"
-    fill(store, hours=0.1)
-    sent = send(server, tmp_path, store, user_name="odd", password_file=tmp_path / "odd")
-    assert sent.problem == ""
 
 
 def test_tls_takes_a_server_that_is_vouched_for_and_no_other(

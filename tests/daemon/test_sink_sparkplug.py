@@ -7,7 +7,6 @@ import threading
 from pathlib import Path
 
 import paho.mqtt.client as paho
-import pytest
 from filled_store import fill, rows_waiting
 from history_records import EPOCH_S
 from hypothesis import given
@@ -15,12 +14,11 @@ from hypothesis import strategies as st
 from mosquitto import mosquitto, wait_until
 from paho.mqtt.enums import CallbackAPIVersion
 
-from config.schema.base import KeyProblems
 from config.schema.sinks import SinkConfig
 from daemon.history.cursors import Cursor, cursor_path
 from daemon.sinks.outbox import STREAMS, Outbox
-from daemon.sinks.running import SinkRunner, make_sink
-from daemon.sinks.sparkplug import PrimaryHost, SparkplugSink
+from daemon.sinks.running import SinkRunner
+from daemon.sinks.sparkplug import SparkplugSink
 from daemon.sinks.sparkplug_metrics import row_metrics
 from daemon.sinks.sparkplug_payload import PAYLOAD, DataType, Metric, asks_for_rebirth, encode
 
@@ -177,53 +175,10 @@ def test_a_rejected_temperature_is_told_as_bad() -> None:
 # --- hosts, configuration ------------------------------------------------------------------
 
 
-def test_positions_of_axes_are_told_where_they_are_read() -> None:
-    stream = STREAMS["cnc"]
-    row = dict.fromkeys(stream.columns, 1) | {"positions_mm": '{"X": 12.5}'}
-    found = {each.name: each for each in row_metrics(stream, tuple(row.values()))}
-    position = found["CNC/Position/X"]
-    assert (position.value, position.utc_ms, position.properties) == (12.5, 1, {"engUnit": "mm"})
-    row["positions_mm"] = None
-    assert not [each for each in row_metrics(stream, tuple(row.values())) if "Position" in each.name]
-
-
-def test_an_older_word_of_the_primary_host_counts_for_nothing() -> None:
-    host = PrimaryHost("scada")
-    assert host.topic == "spBv1.0/STATE/scada" and not host.online
-    for content, online in (
-        (b'{"online": true, "timestamp": 5}', True),
-        (b'{"online": false, "timestamp": 4}', True),
-        (b"ONLINE", True),
-        (b"", True),
-        (b"[1]", True),
-        (b'{"online": 0, "timestamp": 9}', True),
-        (b'{"online": false, "timestamp": "9"}', True),
-        (b"\xff\xff", True),
-        (b'{"online": false, "timestamp": 5}', False),
-        (b'{"online": true}', False),
-        (b'{"online": true, "timestamp": 6.5}', True),
-    ):
-        host.hear(content)
-        assert host.online is online, content
-
-
 def test_sessions_are_numbered_0_to_255_over_and_over() -> None:
     numbers = [SparkplugSink(section(1), "numbered")._bd_seq for _ in range(258)]
     assert numbers == [*range(256), 0, 1]
     assert SparkplugSink(section(1), "another")._bd_seq == 0
-
-
-def test_names_that_are_no_level_of_a_topic_are_refused() -> None:
-    for key in ("group", "device", "primary_host"):
-        for value in ("", "a/b", "a+", "#"):
-            with pytest.raises((ValueError, KeyProblems)):
-                section(1, **{key: value})
-
-
-def test_the_section_says_which_library_is_loaded() -> None:
-    config = section(None)
-    assert isinstance(make_sink(config, "mill"), SparkplugSink)
-    assert config.place == "127.0.0.1:1883/spBv1.0/Plant" and "NOT encrypted" in config.exposed
 
 
 def problem(port: int, store: Path, group: str) -> str:
@@ -249,19 +204,6 @@ def test_a_right_that_is_missing_is_named_whatever_is_retained_there(tmp_path: P
         assert "spBv1.0/Else/NBIRTH/mill did not come back: let `user_name` publish" in problem(port, store, "Else")
 
 
-def test_a_right_to_publish_births_alone_is_not_enough(tmp_path: Path) -> None:
-    store = tmp_path / "h.sqlite"
-    fill(store, hours=0.2)
-    rights = "topic read #\ntopic write spBv1.0/Plant/NBIRTH/#\ntopic write spBv1.0/Plant/DBIRTH/#\n"
-    (tmp_path / "acl").write_text(rights)
-    (tmp_path / "acl").chmod(0o600)
-    with mosquitto(tmp_path, "allow_anonymous true", f"acl_file {tmp_path / 'acl'}") as port:
-        said = problem(port, store, "Plant")
-    assert "spBv1.0/Plant/DDATA/mill/Machine did not come back: let `user_name` publish" in said
-    cursor = Cursor.read(cursor_path(store, "scada"))
-    assert cursor is not None and cursor.sent_rows == 0
-
-
 def test_a_broker_that_drops_a_large_birth_takes_no_rows(tmp_path: Path) -> None:
     """It says nothing: what it drops would count as sent."""
     store = tmp_path / "h.sqlite"
@@ -271,26 +213,6 @@ def test_a_broker_that_drops_a_large_birth_takes_no_rows(tmp_path: Path) -> None
     assert "spBv1.0/Plant/DBIRTH/mill/Machine did not come back" in said and "message_size_limit" in said
     cursor = Cursor.read(cursor_path(store, "scada"))
     assert cursor is not None and cursor.sent_rows == 0
-
-
-def test_a_primary_host_whose_clock_was_set_back_is_waited_for_no_longer_than_it_is_away(tmp_path: Path) -> None:
-    store, stop = tmp_path / "h.sqlite", threading.Event()
-    fill(store, hours=0.2)
-    with mosquitto(tmp_path, "allow_anonymous true") as port:
-        words = ["mosquitto_pub", "-h", "127.0.0.1", "-p", str(port), "-r", "-t", "spBv1.0/STATE/main", "-m"]
-        subprocess.run([*words, '{"online": false, "timestamp": 4000000000000}'], check=True)
-        config = section(port, primary_host="main")
-        runner = SinkRunner(config, store, "mill", stop, wait=lambda _duration_s: stop.wait(0.02))
-        thread = threading.Thread(target=runner.run)
-        thread.start()
-        try:
-            wait_until(lambda: "`primary_host` is not online" in runner.cursor.problem)
-            subprocess.run([*words, '{"online": true, "timestamp": 1790000000000}'], check=True)
-            wait_until(lambda: runner.cursor.sent_rows > 0)
-        finally:
-            stop.set()
-            thread.join()
-    assert runner.cursor.problem == ""
 
 
 def test_a_storm_of_commands_to_be_born_again_is_answered_and_keeps_no_row_back(tmp_path: Path) -> None:

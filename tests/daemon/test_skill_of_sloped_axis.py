@@ -100,13 +100,6 @@ def test_a_slope_of_the_wrong_sign_does_harm_that_shows_where_the_axis_stands(tm
     assert Day(sloped(tmp_path)).grow((0.0, 80.0), (0.0, -80.0), (0.0, 80.0), places=(PIVOT_MM,)) == ""
 
 
-def test_a_machine_that_is_crooked_when_cold_does_not_seem_to_grow_when_its_axis_moves(tmp_path: Path) -> None:
-    day = Day(sloped(tmp_path), crooked_um_per_m=120.0)
-    assert day.grow((2.0, 4.0), (2.0, 4.0), places=(20.0, 250.0, 480.0)) == "" and day.told == []
-    said = Day(sloped(tmp_path), crooked_um_per_m=120.0).grow((10.0, 40.0), (-10.0, -40.0), places=(20.0, 250.0, 480.0))
-    assert "axis z" in said, "and what does harm is still found"
-
-
 @pytest.mark.parametrize(
     ("machine", "told_mm", "words"),
     [
@@ -135,19 +128,6 @@ def test_where_nobody_knows_what_the_slope_makes_nothing_is_judged_and_that_is_s
 def test_without_a_slope_in_estimate_and_compensation_the_position_does_not_matter(tmp_path: Path, fanuc: bool) -> None:
     day = Day(sloped(tmp_path, read=False, fanuc=fanuc))
     assert "axis z" in day.grow((12.0, 0.0), (-12.0, 0.0)) and day.told == []
-
-
-def test_at_a_fanuc_the_estimate_is_judged_where_the_axis_stands_while_its_slope_is_off(tmp_path: Path) -> None:
-    assert Day(sloped(tmp_path, fanuc=True)).grow((-20.0, 80.0), (-20.0, 80.0), (20.0, 0.0)) == ""
-
-
-def test_what_is_measured_while_the_axis_moves_says_nothing(tmp_path: Path) -> None:
-    day = Day(sloped(tmp_path))
-    for row in range(60):
-        day.watch.stand(make.cnc_sample(day.at_s + 0.9, positions_mm={"Z_mm": 500.0 * (row % 2)}))
-        day.row(PIVOT_MM, (20.0, 80.0), (-20.0, -80.0), told_mm=500.0 * (row % 2))
-        day.at_s += 0.1
-    assert day.told == []
 
 
 def test_the_control_task_judges_displacements_and_probes_where_the_axis_stands(tmp_path: Path) -> None:

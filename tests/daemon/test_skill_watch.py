@@ -1,18 +1,14 @@
 """Do no harm: displacements and probes tell whether the estimate helps, and the output heeds them."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from control_rig import Bench, running
 
 from config.schema.displacements import DisplacementsConfig
-from daemon.cnc.limits import axis_sources
 from daemon.compensation.skill_monitor import (
     LEAST_PAIRS,
     MOST_PAIRS,
     SkillRecord,
-    SkillWatch,
     does_harm,
     with_measurement,
 )
@@ -72,32 +68,6 @@ async def follow_true_error(rig, true_um, estimated_um, turns):
         share = min(k / 20.0, 1.0)
         await rig.turn(rig.estimate(0.0, share * estimated_um))
         rig.control.deliver(row(rig, share * true_um))
-
-
-def test_a_channel_belongs_to_the_axis_that_it_names_and_rows_of_other_sources_take_nothing_from_it(tmp_path):
-    bench = Bench(tmp_path)
-    gauges = {
-        "name": "gauges",
-        "driver": "modbus",
-        "modbus": {
-            "host": "x",
-            "channels": [{"name": "Gauge", "axis": "z", "address": 0}, {"name": "Other", "address": 1}],
-        },
-    }
-    displacements = DisplacementsConfig.model_validate({"sources": [gauges]})
-    configuration = bench.configuration.model_copy(update={"displacements": displacements})
-    watch = SkillWatch(axis_sources(configuration), configuration)
-    rig = bench.rig()
-    applied = np.zeros(len(configuration.compensation.axes))
-    for turn in range(2 * LEAST_PAIRS + 2):
-        estimate = rig.estimate(0.0, min(turn, 1) * -20.0)
-        estimate = replace(estimate, reference_id="r", model_id="m")
-        um = np.array([np.nan, 7.0] if turn % 2 else [min(turn, 1) * 20.0, np.nan])
-        sample = DisplacementSample(
-            utc_s=float(turn), um=um, reason=np.zeros(2, dtype=np.uint8), source="source gauges"
-        )
-        watch.displacement(sample, estimate, applied)
-    assert watch.inhibit() is not None and "axis z" in watch.inhibit().text
 
 
 async def test_an_estimate_of_the_wrong_sign_is_followed_no_longer(rig):

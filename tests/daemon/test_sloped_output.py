@@ -13,16 +13,11 @@ from memory_cnc import MemoryNc
 from sloped_machine import FARTHEST_M, PIVOT_MM, SLOPE, TRAVEL_MM, Z, configured, content, proved, sloped
 from small_model import model
 
-from config.records.commissioning_file import commissioning_text
 from daemon.cnc.limits import output_limits
 from daemon.commissioning.initialising import CommissioningRefusedError
 from daemon.commissioning.slope import positions_of, slope_to_write
 from daemon.model_release.gate import slope_inhibit
 from daemon.model_release.release_checks import gate_inhibit
-from daemon.monitor.shdr import ShdrAdapter
-from daemon.monitor.status import StatusBoard
-from daemon.monitor.web.estimate import estimate_document
-from models.control.nc_request import Refusal, RequestMacros, parse_request
 from models.control.state import OperatorRequest
 
 Change = Callable[[dict[str, Any]], object]
@@ -90,15 +85,6 @@ def test_a_slope_that_does_not_fit_is_refused_by_its_key(tmp_path: Path, change:
         configured(given)
 
 
-def test_an_axis_has_one_slope(tmp_path: Path) -> None:
-    given = content(tmp_path)
-    axes_of(given)["another"] = SLOPE
-    given["cnc"]["macros"]["values"]["another"] = 507
-    given["cnc"]["macros"]["echo_applied"]["another"] = 517
-    with pytest.raises(ValueError, match="z_slope is the slope of z already"):
-        configured(given)
-
-
 # --- model and commissioning record ------------------------------------------------------
 
 
@@ -114,11 +100,6 @@ def test_a_model_s_slope_goes_to_a_slope_about_the_same_pivot_only(tmp_path: Pat
     ):
         assert words in slope_inhibit(each, configuration)
         assert words in gate_inhibit(each, configuration)
-
-
-def test_a_record_says_which_slope_was_seen_and_one_without_says_nothing_of_slopes(tmp_path: Path) -> None:
-    text = commissioning_text(record_for(sloped(tmp_path), axes=proved()))
-    assert '"positions_mm"' in text and text.count('"slope"') == 1
 
 
 @pytest.mark.parametrize(
@@ -276,64 +257,6 @@ def test_a_foreign_value_in_the_slope_s_macro_is_a_fault_and_moves_nothing(tmp_p
             assert rig.applied == {"z": pytest.approx(-10.0), "z_slope": pytest.approx(-60.0)}
 
     asyncio.run(main())
-
-
-def test_the_monitor_judges_what_is_measured_where_the_axis_stands_or_says_why_not(tmp_path: Path) -> None:
-    """-20 um at the pivot and 80 um/m: at 480 mm 1.6 um less are left than the pivot's estimate says."""
-    given = content(tmp_path)
-    given["cnc"]["axis_positions"] = {"Z_mm": {"axis": "Z", "travel_mm": TRAVEL_MM, "rapid_mm_per_min": 30000.0}}
-    rig = a_rig(tmp_path)
-    board = rig.snapshots
-    board.thermal = replace(board.thermal, estimate=rig.estimate(0.0, 0.0, **errors(-20.0, 80.0)))
-    applied = np.array([15.0, -60.0])
-    board.control = replace(board.control, applied_um=applied, baseline_um=np.array([0.0, 0.0]))
-    along_m = 0.23
-    true_um = -20.0 + 80.0 * along_m + 0.5
-    then_um, now_um = {"Z1": 100.0}, {"Z1": 100.0 + true_um + applied[0] + applied[1] * along_m}
-
-    def z(then_mm: dict[str, float], now_mm: dict[str, float], **changes: Any) -> dict[str, Any]:
-        configuration = configured(given | changes)
-        found = estimate_document(configuration, board, then_um, now_um, then_mm, now_mm)["channels"]["Z1"]
-        assert (found["thermal_error_um"], found["pivot_mm"]) == (-20.0, PIVOT_MM)
-        return dict(found)
-
-    found = z({"z": 479.0}, {"z": 480.0})
-    assert found["measured_um"] == pytest.approx(true_um) and found["residual_um"] == pytest.approx(0.5)
-    assert (found["position_mm"], found["not_judged"]) == (480.0, "")
-    found = z({"z": 20.0}, {"z": 480.0})
-    assert (
-        found["residual_um"] is None
-        and "stood at 20 mm at the reference and stands at 480 mm now" in found["not_judged"]
-    )
-    found = z({}, {})
-    assert found["residual_um"] is None and found["not_judged"].endswith("reference the axis")
-    unread = {key: value for key, value in given["cnc"].items() if key != "axis_positions"}
-    assert "add an entry" in z({}, {}, cnc=unread)["not_judged"]
-    fanuc = given["cnc"] | {"guard": {"increment_mm": 0.0001}}
-    fanuc["opcua"] = fanuc["opcua"] | {"preset": "fanuc", "namespace_uri": "urn:a:b"}
-    assert "where the guard was called last" in z({"z": 480.0}, {"z": 480.0}, cnc=fanuc)["not_judged"]
-
-
-def test_status_and_monitor_say_that_a_slope_is_in_um_per_m_and_say_nothing_of_others(tmp_path: Path) -> None:
-    rig = a_rig(tmp_path)
-    shown = StatusBoard(rig.configuration, rig.clock, rig.snapshots, rig.telemetry.picture).picture()["axes"]
-    assert shown["z_slope"]["unit"] == "um/m" and "unit" not in shown["z"]
-    assert shown["z"]["pivot_mm"] == PIVOT_MM and "pivot_mm" not in shown["z_slope"]
-    thermal = replace(rig.snapshots.thermal, estimate=rig.estimate(0.0, 0.0, **errors(1.0, 40.0)))
-    rig.snapshots.thermal = thermal
-    channels = estimate_document(rig.configuration, rig.snapshots, {}, {})["channels"]
-    assert channels["Z1_per_m"]["unit"] == "um/m" and "unit" not in channels["Z1"]
-    keys = set(ShdrAdapter(rig.configuration, rig.snapshots).present())
-    wanted = {"estimate_Z1_um", "estimate_Z1_per_m_um_per_m", "z_applied_um", "z_slope_applied_um_per_m"}
-    assert wanted <= keys and "z_slope_applied_um" not in keys
-    assert rig.configuration.compensation.slope_channels == {"Z1_per_m"}
-
-
-def test_the_nc_program_probes_and_sets_no_slope() -> None:
-    numbers = RequestMacros(counter=520, kind=521, axis=522, value_mm=523, acknowledge=524)
-    asked = {520: 1.0, 521: 2.0, 522: 2.0, 523: 0.01, 524: 0.0}
-    refused = parse_request(asked, numbers, ("z", ""))
-    assert isinstance(refused, Refusal) and "it must be one of 0 (all), 1 z" in refused.why
 
 
 # --- commissioning -----------------------------------------------------------------------

@@ -60,19 +60,6 @@ def of_box(found: MachineTemperatures) -> Sequence[float]:
     return found.degc[4:].tolist()
 
 
-def test_sources_stand_behind_the_lines_in_every_record() -> None:
-    configuration = machine()
-    layout = MachineLayout.from_configuration(configuration)
-    assert layout.sensor_ids == (1, 2, 3, 4, 9, 10)
-    assert layout.lines == {"spindle": (1, 2, 3, 4), "box": (9, 10)}
-    assert configuration.temperatures.labels["Nose"] == (0, 1, 4, 5)
-
-
-def test_a_first_value_counts_after_three_that_agree() -> None:
-    fed = Fed()
-    assert [math.isfinite(of_box(fed(10.0 * i, 20.0, 20.0))[0]) for i in range(4)] == [False, False, True, True]
-
-
 @pytest.mark.parametrize(
     ("how", "from_degc", "step_k", "jumped"),
     [
@@ -130,16 +117,6 @@ def test_one_wrong_reading_after_a_silence_moves_nothing(wrong: float) -> None:
     assert after.quality[4] != Quality.GOOD and after.degc[4] != wrong
     last = [fed(200.0 + 10.0 * i, 20.0, 20.0) for i in range(1, 5)][-1]
     assert of_box(last) == [20.0, 20.0]
-
-
-def test_an_open_sensor_is_held_and_then_missing_with_its_reason() -> None:
-    fed = Fed()
-    for i in range(6):
-        fed(10.0 * i, 20.0, 20.0)
-    held = fed(60.0, -999.0, 20.0)
-    assert held.quality[4] == Quality.HELD and held.degc[4] == 20.0 and held.reason[4] == Reason.DEVICE_ERROR
-    gone = [fed(60.0 + 10.0 * i, -999.0, 20.0) for i in range(1, 8)][-1]
-    assert np.isnan(gone.degc[4]) and gone.degc[5] == 20.0
 
 
 @pytest.mark.parametrize("silent_s", [10.0, 600.0])

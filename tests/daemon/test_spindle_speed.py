@@ -4,7 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import yaml
 from control_rig import HandClock, running
@@ -17,9 +16,7 @@ from config.schema.base import ConfigurationError
 from config.schema.spindle_speed import SpindleSpeedConfig
 from daemon.checkup.machine import preflight
 from daemon.history.reader import HistoryReader
-from daemon.monitor.view import speed_in_words
-from daemon.monitor.web.dynamics import dynamics_document
-from daemon.spindle_speed.planning import SPEEDS, planned_with
+from daemon.spindle_speed.planning import planned_with
 from drivers.guard.speed_text import SpeedStatus
 from models.errors import StabilityError
 from models.records import WriteOutcome
@@ -91,14 +88,6 @@ def test_a_tool_that_the_lobes_do_not_know_needs_the_verification(tmp_path: Path
     assert planned_with(configuration.model_copy(update={"spindle_speed": verified}), bearing_model())
 
 
-async def test_a_new_operation_is_planned_at_once_with_what_is_known(bench: SpeedRig) -> None:
-    await bench.pass_by(6.0, CUT)
-    bench.call()
-    await bench.pass_by(3.0, SAFE, temperatures=False)
-    assert bench.call()[2] is SpeedStatus.APPLIED
-    assert bench.control.spindle_rpm != 9000.0
-
-
 async def test_nothing_changes_within_a_cut_and_the_pair_stays_valid(bench: SpeedRig) -> None:
     speed_rpm, *_ = await bench.operation()
     bench.degc = 36.0
@@ -163,16 +152,6 @@ async def test_no_stable_speed_is_the_programmed_one_and_an_alarm(bench: SpeedRi
     assert "cut less deep or widen the limits" in bench.picture()["alarm"]
 
 
-async def test_k0_and_other_tools_are_left_alone(bench: SpeedRig, tmp_path: Path) -> None:
-    assert await bench.operation(K=0.0) == (9000.0, 1800.0, SpeedStatus.NOT_WANTED)
-    assert bench.picture()["state"] == "OFF"
-    other = tmp_path / "other"
-    other.mkdir()
-    configuration = speed_machine(other)
-    assert configuration.spindle_speed is not None
-    assert configuration.spindle_speed.operation_of(2, 1000) is None
-
-
 async def test_another_operation_does_not_inherit_the_speed(bench: SpeedRig) -> None:
     await bench.operation()
     assert bench.call(S=8000.0, F=1600.0) == (8000.0, 1600.0, SpeedStatus.ANOTHER)
@@ -196,20 +175,6 @@ async def test_a_write_that_is_not_taken_is_a_fault(bench: SpeedRig) -> None:
     assert "read-back of the spindle speed differs" in str(bench.rig.control.journal.fault)
 
 
-async def test_a_lost_link_begins_anew(bench: SpeedRig) -> None:
-    first, *_ = await bench.operation()
-    bench.degc = 36.0
-    bench.nc.reachable = False
-    await bench.pass_by(2.0, CUT)
-    bench.nc.reachable = True
-    await bench.rig.connected()
-    await bench.pass_by(5.0, CUT)
-    await bench.pass_by(40.0, SAFE)
-    assert bench.rig.control.journal.fault is None
-    assert bench.call()[2] is SpeedStatus.APPLIED
-    assert bench.call()[0] != first
-
-
 async def test_an_intent_that_a_crash_left_is_settled_at_the_start(tmp_path: Path) -> None:
     bench = SpeedRig(tmp_path)
     async with running(bench.rig):
@@ -225,14 +190,6 @@ async def test_an_intent_that_a_crash_left_is_settled_at_the_start(tmp_path: Pat
     assert "these macros are not polled" in str(record.detail)
 
 
-async def test_without_a_model_it_says_so_and_stays_programmed(tmp_path: Path) -> None:
-    bench = SpeedRig(tmp_path, thermomechanical_model=tmp_path / "missing.json")
-    async with running(bench.rig):
-        await bench.rig.turn()
-        assert (await bench.operation())[:2] == (9000.0, 1800.0)
-        assert "missing.json: there is no bearing model" in bench.picture()["alarm"]
-
-
 async def test_the_check_names_what_the_tuning_lacks(tmp_path: Path) -> None:
     configuration = speed_machine(tmp_path)
     for there in (False, True):
@@ -242,23 +199,6 @@ async def test_the_check_names_what_the_tuning_lacks(tmp_path: Path) -> None:
         assert found["spindle speed"].passed is there
         assert ("there is no bearing model" in found["spindle speed"].detail) is not there
         assert ("made-up, sha256" in found["spindle speed"].detail) is there
-
-
-async def test_the_monitor_shows_it(bench: SpeedRig) -> None:
-    await bench.operation()
-    words = speed_in_words(bench.picture())
-    assert "for S9000, TUNED" in words
-    bench.rig.snapshots.spindle_speed = bench.speed.snapshot()
-    found = dynamics_document(bench.rig.snapshots, bench.clock)
-    assert found is not None
-    lobes, point = found["lobes"], found["working_point"]
-    assert len(lobes["speed_rpm"]) == len(lobes["limiting_depth_mm"]) == SPEEDS
-    place = int(np.argmin(np.abs(np.array(lobes["speed_rpm"]) - bench.picture()["commanded_rpm"])))
-    assert lobes["limiting_depth_mm"][place] == pytest.approx(point["limiting_depth_mm"], rel=0.1)
-    (resonance_hz, *_), response = found["resonance"]["hz"].values(), found["response"]
-    frequency_hz = np.array(response["frequency_hz"])
-    assert frequency_hz[0] < resonance_hz[0] < frequency_hz[-1]
-    assert len(response["magnitude_um_per_n"]["x"]) == len(frequency_hz) < 1000
 
 
 def test_the_section_says_what_is_wrong_with_it(tmp_path: Path) -> None:
@@ -287,13 +227,6 @@ def test_a_hysteresis_beyond_what_is_verified_is_refused(tmp_path: Path, change:
     with pytest.raises(ConfigurationError, match="highest speed of 2400: 48 1/min off"):
         slow = good.model_dump(mode="json") | {"operations": [tool]}
         parse_yaml_model(yaml.safe_dump(slow), SpindleSpeedConfig, "speed.yaml")
-
-
-async def test_at_a_speed_where_the_hysteresis_is_too_large_nothing_is_tuned(bench: SpeedRig) -> None:
-    assert (await bench.operation(S=2400.0, F=480.0))[0] == 2400.0
-    alarm = bench.picture()["alarm"]
-    assert "hysteresis_rpm of 50 is more than tolerance_percent allows at 2000 1/min, which is 40" in alarm
-    assert (await bench.operation())[2] is SpeedStatus.APPLIED
 
 
 async def test_on_a_real_control_it_moves_the_speed_where_that_control_is_commissioned(tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ from speed_machine import MACROS, speed_machine
 from speed_rig import CUT, SAFE, SpeedRig
 
 from daemon.cnc.commissionable import without_text
-from daemon.cnc.write_ahead import WriteAheadRecord
 from daemon.spindle_speed.macro_block import DISABLED, OperationKey, SpeedBlock, SpeedPair
 from daemon.spindle_speed.writer import SpeedWriteError, SpeedWriter
 from drivers.guard.speed_text import SpeedStatus
@@ -70,16 +69,6 @@ async def test_a_block_that_nobody_here_has_written_is_a_fault(tmp_path: Path, f
         await acknowledge(bench)
         await bench.pass_by(20.0, SAFE)
         assert (await bench.operation())[2] is APPLIED
-
-
-async def test_what_was_written_through_other_macros_proves_nothing(tmp_path: Path) -> None:
-    bench = SpeedRig(tmp_path)
-    WriteAheadRecord.of_speed(bench.configuration.history.path).keep({number + 10: (0.0,) for number in MACROS.ours})
-    fill(bench, valid_for_s=500.0)
-    async with running(bench.new_rig()):
-        await bench.rig.turn()
-        await bench.pass_by(3.0, SAFE)
-        assert "enabled and valid" in str(bench.rig.control.journal.fault)
 
 
 @pytest.mark.parametrize("found", [{}, {"valid_for_s": -5.0}])
@@ -155,15 +144,6 @@ async def test_switching_the_control_off_and_on_expires_the_pair_and_is_no_fault
     assert bench.rig.control.journal.fault is None
     assert bench.call()[::2] == (speed_rpm, APPLIED)
     assert (await bench.operation())[2] is APPLIED
-
-
-async def test_the_feed_that_is_written_is_what_the_check_counts_exactly(bench: SpeedRig) -> None:
-    for feed_mm_min in (1841.333, 0.4567):
-        speed_rpm, feed, status = await bench.operation(F=feed_mm_min)
-        await bench.pass_by(3.0, CUT)
-        assert status is APPLIED and speed_rpm != 9000.0
-        assert feed == pytest.approx(feed_mm_min * speed_rpm / 9000.0, rel=1e-5)
-    assert all(value == round(value, 2) for number, value in bench.nc.written if number == MACROS.feed and value > 10.0)
 
 
 async def test_without_a_check_no_speed_is_tuned_and_status_says_why(tmp_path: Path) -> None:

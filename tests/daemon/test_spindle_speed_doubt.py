@@ -11,7 +11,6 @@ from speed_rig import CUT, SAFE, SpeedRig
 from thermal_rig import Task, model
 
 from config.schema.service import HistoryConfig
-from daemon.app import Daemon
 from daemon.messages import TemperaturesTrusted
 from daemon.state_store.store import StateStore
 from drivers.guard.speed_text import SpeedStatus
@@ -119,15 +118,6 @@ async def test_it_counts_when_it_jumps_back_after_the_reference(sensors: Sensors
     assert sensors.sent[-1].doubted == {} and sensors.bench.picture()["alarm"] == ""
 
 
-async def test_a_sensor_that_was_silent_and_is_itself_again_is_never_doubted(sensors: Sensors) -> None:
-    await sensors.operation()
-    await sensors.speak(180.0, CUT, spindle=[np.nan, 28.0, 28.0])
-    await sensors.speak(40.0, CUT, spindle=[28.4, 28.0, 28.0])
-    await sensors.positioned()
-    await sensors.speak(20.0, SAFE, spindle=[28.4, 28.0, 28.0])
-    assert sensors.sent[-1].doubted == {} and sensors.bench.picture()["alarm"] == ""
-
-
 async def test_a_sensor_that_the_watch_has_excluded_moves_no_speed(sensors: Sensors) -> None:
     speed_rpm = await sensors.operation()
     found = replace(sensors.thermal.sensors, excluded={3: "departure"})
@@ -149,16 +139,6 @@ async def test_a_line_that_answers_from_memory_moves_no_speed(sensors: Sensors) 
     for number in range(40):
         await sensors.speak(10.0, CUT, spindle=28.0 + 0.0625 * (number % 2))
     await frozen(sensors, speed_rpm, "sensor 11 may be answered from memory", grows=0.0)
-
-
-async def test_values_that_are_only_held_do_not_count(sensors: Sensors) -> None:
-    """The line is silent: three of five sensors are as old as that, and no reading stands for now."""
-    speed_rpm = await sensors.operation()
-    await sensors.speak(40.0, CUT, spindle=None)
-    await sensors.speak(5.0, SAFE, spindle=None)
-    assert "only 2 of 5 sensors of A have a value" in sensors.bench.picture()["alarm"]
-    assert sensors.bench.call()[0] == speed_rpm
-    assert np.isfinite(sensors.sent[-1].degc).all(), "the compensation holds them for two minutes"
 
 
 async def test_a_sensor_that_came_back_at_another_level_counts_without_it(sensors: Sensors) -> None:
@@ -205,10 +185,3 @@ async def test_what_was_excluded_before_a_restart_is_not_believed_before_the_ref
     await again.minutes(1 / 6, spindle=28.0, column=28.0)
     sensors.told()
     assert sensors.sent[-1].doubted == {2: "sensor 3 was found wrong"}
-
-
-async def test_who_switches_the_tuning_on_trusts_the_temperatures(sensors: Sensors) -> None:
-    daemon = Daemon(sensors.bench.configuration, sensors.bench.clock)
-    assert daemon._switch_spindle_speed(on=False, person="a person") == "" and daemon._inbox.empty()
-    await daemon._commands.handle({"command": "enable", "spindle_speed": True}, "a person")
-    assert daemon._inbox.get_nowait() == TemperaturesTrusted(person="a person")

@@ -58,19 +58,6 @@ async def test_a_change_that_was_not_taken_is_taken_back_where_no_speed_is_stabl
     assert bench.call()[:2] == PROGRAMMED
 
 
-async def test_what_the_nc_takes_before_it_can_be_changed_is_what_counts(bench: SpeedRig) -> None:
-    """The next change goes out from what was taken, after a cut with it."""
-    before_rpm = await announced(bench)
-    bench.degc = WARM
-    await bench.pass_by(90.0, CUT)
-    assert bench.call()[::2] == (before_rpm, SpeedStatus.APPLIED)  # sooner than the daemon sees the safe block
-    await bench.pass_by(30.0, SAFE)
-    assert bench.call()[0] == before_rpm
-    await bench.pass_by(30.0, CUT)
-    await bench.pass_by(30.0, SAFE)
-    assert 0.0 < abs(bench.call()[0] - before_rpm) <= 200.5
-
-
 async def test_an_operation_that_comes_again_does_not_begin_at_a_change_that_was_not_taken(bench: SpeedRig) -> None:
     await announced(bench)
     await bench.pass_by(20.0, CUT)
@@ -98,11 +85,3 @@ async def test_what_a_standing_machine_has_outgrown_is_not_taken_when_it_goes_on
     await bench.pass_by(150.0, CUT)
     await bench.pass_by(30.0, SAFE)
     assert bench.call() == first
-
-
-async def test_missing_temperatures_are_told_once(bench: SpeedRig) -> None:
-    await bench.operation()
-    said: list[str] = []
-    bench.rig.control.journal.say = lambda kind, text: said.append(text)  # type: ignore[method-assign]
-    await bench.pass_by(90.0, CUT, temperatures=False)
-    assert said == ["spindle speed: no temperatures for 60 s; the speed is frozen"]

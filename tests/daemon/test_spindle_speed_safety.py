@@ -127,17 +127,6 @@ async def test_a_poll_within_another_program_changes_nothing_in_the_cut(bench: S
     assert bench.call()[0] == speed_rpm
 
 
-async def test_a_call_seen_in_a_subprogram_is_the_same_operation(bench: SpeedRig) -> None:
-    speed_rpm, *_ = await bench.operation()
-    await bench.pass_by(3.0, CUT)
-    count = len(bench.nc.written)
-    for program in (77, 1000):
-        bench.nc.program = program
-        assert bench.call()[::2] == (speed_rpm, APPLIED)
-        await bench.pass_by(14.0, CUT)
-    assert {value for number, value in bench.nc.written[count:] if number == MACROS.enable} == {1.0}
-
-
 async def test_a_call_that_is_being_told_is_not_taken(bench: SpeedRig) -> None:
     speed_rpm, *_ = await bench.operation()
     await bench.pass_by(2.0, CUT)
@@ -168,17 +157,6 @@ async def test_an_operation_that_comes_again_goes_on_in_steps(bench: SpeedRig) -
         steps = [abs(b - a) for a, b in itertools.pairwise(speeds)]
         assert max(steps) > 0.0
         assert max(steps) <= 200.5
-
-
-async def test_no_second_step_before_the_first_was_taken(bench: SpeedRig) -> None:
-    first, *_ = await bench.operation()
-    await bench.pass_by(2.0, CUT)
-    bench.degc += 14.0
-    await bench.pass_by(60.0, CUT)
-    for _ in range(4):
-        await bench.pass_by(30.0, SAFE)
-        await bench.pass_by(5.0, CUT)
-    assert 0.0 < abs(bench.call()[0] - first) <= 200.5
 
 
 # --- faults, prohibitions, a lost link -----------------------------------------------------
@@ -246,27 +224,6 @@ async def test_a_link_lost_twice_in_a_cut_changes_nothing_in_it(bench: SpeedRig,
     await bench.pass_by(20.0, CUT)
     await bench.pass_by(20.0, SAFE)
     assert 0.0 < abs(bench.call()[0] - speed_rpm) <= 200.5
-
-
-async def test_a_step_whose_write_is_lost_is_decided_again_not_added_up(bench: SpeedRig) -> None:
-    speed_rpm, *_ = await bench.operation()
-    bench.degc += 14.0
-    await bench.pass_by(60.0, CUT)
-    for _ in range(3):
-        bench.nc.groups_until_lost = 1
-        await bench.pass_by(1.0, SAFE)
-        await bench.rig.connected()
-    await bench.pass_by(3.0, SAFE)
-    assert 0.0 < abs(bench.call()[0] - speed_rpm) <= 200.5
-    assert len([text for text in await events(bench, "speed") if text.startswith(("moves", "jumps"))]) == 2
-
-
-async def test_an_expired_pair_is_shown_as_none(bench: SpeedRig) -> None:
-    speed_rpm, *_ = await bench.operation()
-    await bench.pass_by(1.0, SAFE)
-    assert bench.picture()["commanded_rpm"] == speed_rpm
-    bench.clock.monotonic_s += 31.0
-    assert bench.picture()["commanded_rpm"] is None
 
 
 @pytest.mark.parametrize("refusal", ["refuses", "forgets"])

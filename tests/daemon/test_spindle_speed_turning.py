@@ -45,15 +45,6 @@ async def test_an_override_is_told_once_and_when_it_has_gone(bench: SpeedRig) ->
     assert len(said) == 2 and told in said[0] and said[1] == "the spindle turns at the speed that the NC has taken"
 
 
-async def test_it_lasts_over_cuts_that_are_shorter_than_a_run_up(bench: SpeedRig) -> None:
-    taken_rpm = (await bench.operation())[0]
-    bench.nc.spindle_speed_rpm = 0.5 * taken_rpm
-    for _ in range(4):
-        await bench.pass_by(5.0, CUT)
-        await bench.pass_by(3.0, SAFE)
-    assert "nothing is known of this cut" in bench.picture()["alarm"]
-
-
 @pytest.mark.parametrize("actual", [1.015, -0.99, math.nan, 0.0])
 async def test_what_is_within_the_tolerance_or_turned_the_other_way_or_not_told_is_none(
     bench: SpeedRig, actual: float
@@ -75,12 +66,3 @@ async def test_no_second_step_before_a_cut_at_the_speed_of_the_first(
     await bench.pass_by(90.0, CUT)
     await bench.pass_by(30.0, SAFE)
     assert (bench.call()[0] != first_rpm) is steps
-
-
-async def test_another_operation_and_a_fault_end_it(bench: SpeedRig) -> None:
-    await bench.operation()
-    bench.nc.spindle_speed_rpm = 6000.0
-    await bench.pass_by(30.0, CUT)
-    assert "6000 1/min" in bench.picture()["alarm"]
-    await bench.operation(D=1.5)
-    assert "6000 1/min" not in bench.picture()["alarm"]

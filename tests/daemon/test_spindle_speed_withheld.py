@@ -11,8 +11,6 @@ from speed_rig import CUT, SAFE, SpeedRig
 
 from config.schema.spindle_speed import SpeedOperationConfig
 from daemon.monitor.commands import CommandDesk
-from daemon.monitor.control_socket import RequestError
-from daemon.spindle_speed.output import SpindleSpeedOutput
 from drivers.guard.speed_text import SpeedStatus
 from models.records import CncRun
 
@@ -56,16 +54,6 @@ async def test_a_tool_that_is_got_ready_lends_its_pair_to_none_in_the_spindle(be
     assert bench.call() == (*PROGRAMMED, DISABLED)
 
 
-async def test_its_operation_goes_on_when_the_tool_comes_back(bench: SpeedRig) -> None:
-    first = await bench.operation()
-    await bench.pass_by(3.0, CUT)
-    bench.nc.tool_number = 2
-    await bench.pass_by(5.0, CUT)
-    bench.nc.tool_number = 1
-    await bench.pass_by(8.0, SAFE)
-    assert bench.call() == first
-
-
 # --- another program -------------------------------------------------------------------------
 
 
@@ -80,14 +68,6 @@ async def test_the_same_numbers_in_another_program_do_not_take_the_pair(tmp_path
         await reset_into(bench, 2000)
         assert "is over" in bench.picture()["reason"]
         assert bench.call() == (*PROGRAMMED, DISABLED)
-
-
-async def test_a_reset_into_the_same_program_or_its_main_program_ends_nothing(bench: SpeedRig) -> None:
-    first = await bench.operation()
-    bench.nc.program = 8001
-    await bench.pass_by(3.0, CUT)
-    await reset_into(bench, 1000)
-    assert bench.call() == first
 
 
 async def test_a_start_of_the_daemon_in_reset_knows_of_no_operation(tmp_path: Path) -> None:
@@ -139,14 +119,6 @@ async def test_without_dynamics_for_an_hour_the_programmed_speed_is_taken(bench:
 # --- numbers -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("feed_mm_min", [1e-4, 0.01, 0.15, 1e9])
-async def test_no_feed_is_too_small_or_great_to_keep_its_share(bench: SpeedRig, feed_mm_min: float) -> None:
-    speed_rpm, feed, status = await bench.operation(F=feed_mm_min)
-    assert bench.rig.control.journal.fault is None
-    assert status is APPLIED
-    assert feed / feed_mm_min == pytest.approx(speed_rpm / 9000.0, rel=1e-5)
-
-
 async def test_the_programmed_speed_counts_as_taken_also_where_the_nc_refuses_it_as_a_pair(tmp_path: Path) -> None:
     bench = SpeedRig(tmp_path, highest_rpm=10300.0)
     async with running(bench.rig):
@@ -195,18 +167,3 @@ async def test_a_person_switches_it_off_and_on(tmp_path: Path) -> None:
         assert bench.call()[:2] == PROGRAMMED
         await bench.pass_by(8.0, SAFE)
         assert bench.call() == first
-
-
-@pytest.mark.parametrize("change", [{"axes": ["z"]}, {"zero": True}, {"spindle_speed": "yes"}])
-async def test_the_switch_takes_nothing_beside_it(bench: SpeedRig, change: dict[str, Any]) -> None:
-    with pytest.raises(RequestError, match="spindle_speed"):
-        await desk(bench).handle({"command": "disable", "spindle_speed": True} | change, "a person")
-
-
-async def test_without_the_section_there_is_nothing_to_switch(bench: SpeedRig) -> None:
-    rig = bench.rig
-    without = rig.configuration.model_copy(update={"spindle_speed": None})
-    rig.speed = SpindleSpeedOutput(without, bench.clock, rig.control.journal, rig.interlocks, None, rig.asked.append)
-    with pytest.raises(RequestError, match="no section spindle_speed"):
-        await desk(bench).handle({"command": "disable", "spindle_speed": True}, "a person")
-    assert bench.written() == []

@@ -2,9 +2,7 @@
 
 import json
 import math
-import subprocess
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -26,7 +24,6 @@ from daemon.state_store.store import FORMAT_VERSION, KEYS, DocumentError, StateS
 from models.control.reference_records import CncSeen, ReferenceDocument, ReferenceState, ToolOrigin
 from models.records import FloatArray, Instant
 
-ROOT = Path(__file__).resolve().parents[2]
 SPEED = {"key": [1.0, 9e3, 1.8e3, 2.0, 0.0, 1.0, -1.0], "programmed_rpm": 9e3, "commanded_rpm": 10175.1, "moved": True}
 DOCUMENTS = [
     DaemonAlive(utc_s=1.5e9),
@@ -120,10 +117,6 @@ def test_what_the_version_before_wrote_is_brought_to_the_form_of_now(history, st
     assert store.get(KINDS[key]) == document
 
 
-def test_where_nothing_was_kept_there_is_nothing(store):
-    assert [store.get(kind) for kind in KEYS] == [None] * len(KEYS)
-
-
 @pytest.mark.parametrize("damaged", [{"format_version": 99}, {"format_version": 2, "reasons": 7}, 7, [None], {"a": 1}])
 def test_what_cannot_be_read_denies(history, store, damaged):
     for key in KINDS:
@@ -167,15 +160,6 @@ def test_a_value_of_another_type_is_refused(kind, value):
     assert math.isnan(from_json(float, None, HandClock().now()))
 
 
-def test_nobody_goes_round_the_typed_documents():
-    calls = r"\b(put_state|get_state)\("
-    grep = ["grep", "-rlE", calls, str(ROOT / "daemon")]
-    found = subprocess.run(grep, capture_output=True, text=True, check=True)
-    files = {str(Path(line).relative_to(ROOT)) for line in found.stdout.split() if line.endswith(".py")}
-    layer = {"daemon/history/writer.py", "daemon/history/reader.py", "daemon/state_store/store.py"}
-    assert files == layer
-
-
 def reference_of_0_1_0(history, store, **changes):
     for key, value in (OF_REFERENCE | changes).items():
         history.put_state(key, value)
@@ -204,42 +188,10 @@ def test_six_keys_of_the_version_before_become_one_document(history, store):
     assert again.record.sensors == record.sensors and again.seen == document.seen
 
 
-def test_parts_of_another_reference_are_left_out(history, store):
-    other = {"reference_id": "another"}
-    record = reference_of_0_1_0(
-        history, store, rest=REST | other, since_reference=SINCE | other, tool=TOOL | other
-    ).record
-    assert (record.baseline, record.sensors, record.tool) == (None, None, None)
-
-
 def test_a_reference_that_had_ended_is_kept_for_the_tools(history, store):
     document = reference_of_0_1_0(history, store, reference=None, rest=REST | {"reference_id": None})
     assert document.state is ReferenceState.ENDED and not document.record.by_handshake
     assert list(document.record.baseline.tools) == [2]
-
-
-def test_an_old_rest_without_weight_and_tools_counts_whole(history, store):
-    rest = {key: value for key, value in REST.items() if key not in ("weight", "tools")}
-    baseline = reference_of_0_1_0(history, store, rest=rest).record.baseline
-    assert math.isnan(baseline.weight) and not baseline.tools
-
-
-def test_where_only_the_control_was_seen_there_is_no_reference(history, store):
-    document = reference_of_0_1_0(history, store, **dict.fromkeys(set(OF_REFERENCE) - {"cnc_seen"}))
-    assert (document.state, document.record, document.seen is None) == (ReferenceState.NONE, None, False)
-
-
-def test_a_record_that_is_put_again_is_coded_once_and_another_one_anew(history, store, monkeypatch):
-    coded = []
-    monkeypatch.setattr("daemon.state_store.store.to_json", lambda value: coded.append(value) or to_json(value))
-    seen = CncSeen(utc_s=1.5e9, clock_s=7.0, sequence_number=100, idle=False)
-    later = replace(seen, clock_s=8.0)
-    documents = [ReferenceDocument(state=ReferenceState.NONE, ended=why, seen=seen) for why in ("first", "then")]
-    documents.append(replace(documents[1], seen=later))
-    for document in documents:
-        store.put(document)
-        assert store.get(ReferenceDocument) == document
-    assert [value for value in coded if isinstance(value, CncSeen)] == [seen, later]
 
 
 def test_a_flipped_bit_in_a_kept_number_is_no_reference(history, store):

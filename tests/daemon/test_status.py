@@ -32,13 +32,6 @@ def strict(picture):
     return json.loads(json.dumps(picture, allow_nan=False))
 
 
-async def test_before_anything_is_known_the_picture_is_json(board):
-    picture = strict(board[0].picture())
-    assert picture["output"]["state"] == "OFF" and "not been reached" in picture["output"]["reason"]
-    assert picture["axes"]["z"]["applied_um"] is None
-    assert picture["reference"] is None and picture["estimate"] is None and picture["temperatures"] is None
-
-
 async def test_programs_that_read_the_status_find_every_key_that_they_found_before(board):
     picture = strict(board[0].picture())
     assert set(picture) >= {
@@ -105,16 +98,6 @@ async def test_everything_at_once(board):
     }
     assert picture["history"] == {"acknowledged": {"spindle": 1}, "problem": ""}
     assert picture["displacements"] is None and picture["displacement_rows"] is None
-
-
-async def test_without_the_link_the_applied_value_is_not_known(board):
-    board, rig, _ = board
-    await rig.active()
-    rig.nc.reachable = False
-    await rig.turn()
-    picture = strict(board.picture())
-    assert picture["cnc"] is None and picture["axes"]["z"]["applied_um"] is None
-    assert picture["output"]["state"] == "HOLD"
 
 
 async def test_commands_are_taken_or_refused_in_words(board):

@@ -1,11 +1,8 @@
 """The store goes away while it is written: nothing is acknowledged that is not in the file that stands there."""
 
-import fcntl
 import os
 import shutil
 import sqlite3
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -136,45 +133,6 @@ def test_a_store_that_was_moved_is_whole_where_it_is_now(watched: Watched) -> No
     assert numbers_in(watched.store.with_name("elsewhere.sqlite"))[:3] == [1, 2, 3]
 
 
-READER = """
-import sqlite3, sys
-connection = sqlite3.connect(f"file:{sys.argv[1]}?mode=ro", uri=True, isolation_level=None)
-for _ in sys.stdin:
-    (count,) = connection.execute("SELECT count(*) FROM temperature_cycles").fetchone()
-    print(count, *connection.execute("PRAGMA integrity_check").fetchone(), flush=True)
-"""
-
-
-def test_who_still_reads_a_store_that_was_moved_sees_nothing_of_the_new_one(watched: Watched) -> None:
-    watched.cycles(4, 100)
-    arguments = [sys.executable, "-c", READER, str(watched.store)]
-    with subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdin is not None and process.stdout is not None
-
-        def ask() -> str:
-            process.stdin.write("\n")
-            process.stdin.flush()
-            return process.stdout.readline().strip()
-
-        assert ask() == "100 ok"
-        move(watched.store)
-        watched.cycles(101, 120)
-        assert ask() == "100 ok"
-        process.stdin.close()
-    assert numbers_in(watched.store) == list(range(101, 121))
-
-
-def test_a_write_of_the_new_store_has_the_next_number(watched: Watched) -> None:
-    assert watched.writer.write_intent(None, ((500, 1.0),), "cycle") == 1
-    watched.cycles(4, 4)
-    delete_all(watched.store)
-    watched.cycles(5, 5)
-    assert watched.writer.write_intent(None, ((500, 2.0),), "cycle") == 2
-    watched.cycles(6, 6)
-    with HistoryReader(watched.store) as reader:
-        assert reader.last_write_id() == 2
-
-
 def test_another_store_in_its_place_is_not_written(watched: Watched, tmp_path: Path) -> None:
     store, mine, other = watched.store, tmp_path / "mine.sqlite", tmp_path / "other.sqlite"
     second = Watched(other)
@@ -289,26 +247,6 @@ def test_without_the_lock_file_a_second_writer_is_refused_all_the_same(watched: 
         Watched(store).writer.start()
     watched.cycles(4, 5)
     assert numbers_in(store) == [1, 2, 3, 4, 5]
-
-
-def test_a_refused_second_writer_takes_no_lock_of_sqlite_away(watched: Watched) -> None:
-    store = watched.store
-
-    def locked_by_sqlite() -> str:
-        with store.open("r+b") as file:
-            try:
-                fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, SHARED_SIZE, SHARED_FIRST)
-            except BlockingIOError:
-                return "locked"
-        return "free"
-
-    assert in_child(locked_by_sqlite) == "locked"
-    for lock_file_there in (True, False):
-        if not lock_file_there:
-            store.with_name("history.sqlite.lock").unlink()
-        with pytest.raises(HistoryError):
-            WriterLock(store).acquire()
-        assert in_child(locked_by_sqlite) == "locked"
 
 
 def test_a_store_that_another_writer_has_begun_anew_is_left_to_it(watched: Watched) -> None:

@@ -94,38 +94,6 @@ async def test_every_loss_and_every_return_is_logged_though_the_words_are_the_sa
     assert said == ["link.up", "link.lost"] * 3 + ["link.up"]
 
 
-async def test_a_link_that_is_up_has_no_problem_and_keeps_its_last_one():
-    shown, _ = await flap(2, "the node does not answer")
-    assert shown == (True, "", "the node does not answer", 1_760_000_000.0, 2)
-
-
-async def test_a_link_that_flaps_fills_no_log_and_leaves_nothing_out_uncounted():
-    shown, logs = await flap(200, "the node does not answer")
-    assert shown[-1] == 200
-    assert len(logs) <= 11
-    assert sum(1 + entry.get("left_out", 0) for entry in logs) == 401, "200 losses and 201 times up"
-
-
-async def test_an_attempt_that_merely_ends_is_a_loss_too():
-    health, ends, reached = LinkHealth("made up"), [True], asyncio.Event()
-
-    async def attempt():
-        health.came_up()
-        if ends:
-            ends.pop()
-            return
-        reached.set()
-        await asyncio.Event().wait()
-
-    with structlog.testing.capture_logs() as logs:
-        task = asyncio.create_task(run_with_reconnect(health, attempt, Backoff(0.0001, 0.001)))
-        async with asyncio.timeout(30):
-            await reached.wait()
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
-    assert [entry["event"] for entry in logs] == ["link.up", "link.lost", "link.up"]
-
-
 async def test_a_link_that_a_person_must_repair_is_down_while_it_waits():
     health, lost = LinkHealth("made up"), asyncio.Event()
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import structlog
 from prometheus_client import generate_latest
-from shipped_machine import shipped_machine
 
-from daemon.telemetry.latency import KEPT_DELAYS, PUBLISHED_DELAY_S, DelaySeries, LineTiming, line_timings
+from daemon.telemetry.latency import PUBLISHED_DELAY_S, LineTiming
 from daemon.telemetry.metrics import LOG_PERIOD_S, Telemetry
 from models.records import (
     CompensationCommand,
@@ -31,27 +30,6 @@ TRACE = Trace(
     written=at(101.68, 10.028),
     read_back=at(101.8, 10.029),
 )
-
-
-def test_percentiles_of_what_was_added():
-    series = DelaySeries()
-    assert series.summary()["mean"] is None
-    for value in range(1, 101):
-        series.add(value / 100)
-    summary = series.summary()
-    assert summary["mean"] == pytest.approx(0.505)
-    assert summary["p50"] == pytest.approx(0.505)
-    assert summary["max"] == 1.0 and summary["samples"] == 100
-
-
-def test_only_the_latest_are_kept():
-    series = DelaySeries()
-    for _ in range(10):
-        series.add(9.0)
-    for _ in range(KEPT_DELAYS):
-        series.add(1.0)
-    assert series.summary()["max"] == 1.0
-    assert series.summary()["samples"] == KEPT_DELAYS + 10
 
 
 def cycle(trace=TRACE, *, complete=True, line="spindle"):
@@ -108,38 +86,6 @@ def test_the_speed_of_a_simulation_does_not_change_the_total(speed):
     taken(telemetry, cycle(smeared))
     assert telemetry.delays["measurement"].summary()["mean"] == pytest.approx(5.9)
     assert telemetry.delays["total"].summary()["mean"] == pytest.approx(5.904)
-
-
-def test_line_time_is_that_of_the_bytes_of_a_pass(tmp_path):
-
-    timing = line_timings(shipped_machine())
-    frames = 7 * 10 / 9600
-    assert timing["spindle"].cycle_period_s == 10.0
-    for found in timing.values():
-        assert 40 * frames < found.line_time_s < 200 * 16 / 7 * frames
-
-
-def test_incomplete_cycles_are_counted_apart():
-    telemetry = Telemetry()
-    taken(telemetry, cycle(complete=False))
-    assert telemetry.delays["total"].summary()["samples"] == 0
-    assert telemetry.incomplete["total"].summary()["samples"] == 1
-    text = generate_latest(telemetry.registry).decode()
-    assert 'toolpoint_delay_seconds_count{complete="no",part="total"} 1.0' in text
-
-
-def test_a_cycle_that_was_never_written_has_a_measurement_but_no_feedback():
-    telemetry = Telemetry()
-    taken(telemetry, cycle(Trace(first_byte=TRACE.first_byte, last_byte=TRACE.last_byte, cleansed=TRACE.cleansed)))
-    assert telemetry.delays["measurement"].summary()["samples"] == 1
-    assert telemetry.delays["feedback"].summary()["samples"] == 0
-
-
-def test_an_estimate_made_anew_for_a_reference_is_no_cycle():
-    telemetry = Telemetry()
-    telemetry.arrived(cycle())
-    telemetry.stages("spindle", later(0.0, cleansed=None))
-    assert telemetry.delays["feedback"].summary()["samples"] == 0
 
 
 def test_the_echo_counts_in_the_machines_time():

@@ -78,11 +78,6 @@ async def test_a_foreign_value_is_a_fault_and_is_not_written_over(rig):
     assert f"a write was refused: macro #{MACRO} holds 99, we wrote 21.5" in rig.control.journal.fault
 
 
-async def test_another_line_is_none_of_it(rig):
-    await cycle(rig, 25.0, line="spindle")
-    assert written(rig) == []
-
-
 async def test_what_was_lost_on_the_way_is_written_with_the_next_cycle(rig):
     rig.nc.reachable = False
     await cycle(rig, 21.5)
@@ -101,20 +96,3 @@ async def test_a_value_that_does_not_stay_is_a_fault_and_nothing_more_is_written
     rig.nc.forgets = None
     await cycle(rig, 22.0)
     assert written(rig) == [21.5]
-
-
-async def test_a_refused_write_is_a_fault_and_not_a_lost_link(rig):
-    rig.nc.refuses = MACRO
-    await cycle(rig, 21.5)
-    assert "refused" in rig.control.journal.fault
-    assert rig.link.session is not None
-
-
-async def test_without_the_key_nothing_is_written(tmp_path):
-    configuration, clock = machine(tmp_path), HandClock()
-    rig = Rig(configuration, MemoryNc(configuration, clock), clock, record=record_for(configuration))
-    rig.cleansed = False
-    async with running(rig):
-        await rig.turn()
-        await cycle(rig, 21.5)
-        assert written(rig) == [] and not rig.temperature.due

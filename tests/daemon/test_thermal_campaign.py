@@ -1,9 +1,7 @@
 """`toolpoint thermal campaign`: recordings of the simulated machine that any recording's reader understands."""
 
-import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
@@ -52,27 +50,6 @@ def test_the_recordings_are_read_like_any_other(folder: Path) -> None:
     assert recording.speed_rpm[5] == pytest.approx(12000.0)
     nose = recording.temperatures_degc[:, recording.temperature_names.index("T301")]
     assert nose[14] > nose[0] + 1.0, "full speed warms the nose"
-
-
-def test_metadata_say_that_it_is_a_simulation_and_of_what(folder: Path) -> None:
-    lines = (folder / "dataset-02.csv").read_text("utf-8").splitlines()
-    assert {"# machine: simulated", "# seed: 3", "# cooling: cold start"} <= set(lines)
-    index = json.loads((folder / "campaign.json").read_text("utf-8"))
-    assert [entry["dataset"] for entry in index["datasets"]] == [1, 2]
-    assert index["datasets"][0]["start_h"] == pytest.approx(48.0 / 60.0)
-    assert len(index["labels"]["Room"]) == 20
-
-
-def test_a_data_set_begins_where_the_one_before_ended(folder: Path) -> None:
-    recording = read_recording(folder / "dataset-01.csv")
-    assert recording.speed_rpm is not None
-    assert recording.speed_rpm[0] == 0.0, "the reference lies in the idle of the operation before"
-    assert recording.speed_rpm[1] > 5000.0
-    overview = np.loadtxt(folder / "overview.csv", delimiter=",", comments="#", skiprows=3)
-    assert len(overview) == 73
-    assert [int((overview[:, 4] == number).sum()) for number in (0, 1, 2)] == [25, 24, 24]
-    assert overview[20, 3] == 0.0, "idle reduction stops the chiller"
-    assert overview[60, 3] == 1.0
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(folder: Path, programme: Path, tmp_path: Path) -> None:

@@ -1,8 +1,6 @@
 """The thermal task: cycles in, cleansed temperatures, references and estimates out."""
 
 import asyncio
-import contextlib
-import sqlite3
 
 import numpy as np
 import pytest
@@ -10,12 +8,9 @@ import structlog
 from control_rig import machine
 from thermal_rig import Task, model
 
-from config.machines import shipped_file
 from daemon.estimation.inputs import thermal_snapshot
 from daemon.history import HistoryReader
-from daemon.messages import ReferenceEnded, ReferenceRebased, ReferenceRefused, ReferenceRequest, ReferenceTakenUp
-from daemon.model_release.file_access import own_account
-from daemon.model_release.loading import load_released
+from daemon.messages import ReferenceEnded, ReferenceRebased, ReferenceRefused, ReferenceTakenUp
 from models.quality import Quality, Reason
 from models.records import TemperatureCycle
 
@@ -33,14 +28,6 @@ async def test_a_reference_before_any_temperature_is_refused_in_words(task):
         await task.ask()
     assert [item for item in task.delivered if isinstance(item, ReferenceRefused) and "no temperature" in item.why]
     assert not [entry for entry in logs if entry["event"] == "thermal.defect"]
-
-
-async def test_a_reference_while_every_line_is_silent_is_refused(task):
-    await task.minutes(2)
-    task.clock.monotonic_s += 120.0
-    await task.ask()
-    assert task.references == []
-    assert any("no temperature" in item.why for item in task.delivered if isinstance(item, ReferenceRefused))
 
 
 async def test_the_reference_is_the_mean_of_the_last_minute(task):
@@ -114,16 +101,6 @@ async def test_nan_never_leaves(task):
     assert len(task.estimates) - before <= 2 * 6 * 2.5, "and with nothing left there is no estimate"
 
 
-async def test_an_impossible_value_is_held_back(task):
-    await task.minutes(2)
-    await task.ask()
-    await task.minutes(1 / 6, spindle=[85.0, 20.0, 20.0])
-    assert task.estimates[-2].thermal_error_um == pytest.approx([0.0])
-    latest = task.task.latest
-    assert latest.quality[0] == Quality.HELD and latest.reason[0] == Reason.RATE
-    assert latest.measured_degc[0] == 85.0, "what was measured is kept"
-
-
 async def test_without_a_model_there_are_references_but_no_estimates(tmp_path):
     task = Task(tmp_path, None)
     task.history.start()
@@ -134,20 +111,6 @@ async def test_without_a_model_there_are_references_but_no_estimates(tmp_path):
         assert len(task.references) == 1 and task.estimates == []
     finally:
         task.history.close()
-
-
-def test_a_model_for_sensors_that_do_not_exist_is_refused(tmp_path):
-    configuration = machine(tmp_path)
-    compensation = configuration.compensation.model_copy(
-        update={
-            "model_file": shipped_file("simulated_machine_model.json"),
-            "allow_writable_model_directory": True,
-        }
-    )
-    found = load_released(configuration.model_copy(update={"compensation": compensation}), own_account())
-    assert found.model is None
-    assert "simulated_machine_model.json" in found.inhibit
-    assert "sensors that this machine does not have" in found.inhibit
 
 
 async def test_every_cycle_and_estimate_is_in_the_store(tmp_path):
@@ -347,17 +310,6 @@ async def test_a_model_released_while_sensors_come_and_go_waits(task):
     assert after.thermal_error_um == pytest.approx(before.thermal_error_um, abs=0.5)
 
 
-async def test_with_a_new_reference_a_released_model_waits_no_longer(task):
-    await task.minutes(2)
-    await task.ask()
-    await task.minutes(1, spindle=[np.nan, 20.0, 20.0])
-    await task.task.use_model(model(model_id="next"))
-    await task.minutes(3, spindle=[np.nan, 20.0, 20.0])
-    assert task.estimates[-1].model_id == "made-up"
-    await task.ask("r2")
-    assert task.estimates[-1].model_id == "next"
-
-
 async def test_what_the_others_say_of_a_missing_sensor_holds_when_it_may_be_off(task):
     await task.minutes(2, spindle=[20.0, 20.0, 20.0])
     await task.ask()
@@ -458,24 +410,3 @@ async def test_after_an_outage_as_long_as_is_taken_up_a_sensor_at_another_level_
     estimate = again.estimates[-1]
     assert estimate.confidence == 0.0 or estimate.thermal_error_um == pytest.approx([0.0], abs=1.0)
     again.history.close()
-
-
-async def test_a_store_that_cannot_be_read_at_the_start_ends_no_task(task):
-    """What is no damage in SQLite's own words once ended the daemon at every start, before the first cycle."""
-    await task.minutes(1)
-    await task.history.flushed()
-    with contextlib.closing(sqlite3.connect(task.history.path)) as store:
-        store.execute("ALTER TABLE temperature_cycles RENAME TO elsewhere")
-    with structlog.testing.capture_logs() as logs:
-        running = asyncio.create_task(task.task.run())
-        task.task.inbox.put_nowait(
-            ReferenceRequest(reference_id="r1", source="O1000 N100", program=1000, work_offset=54, power_on_count=7)
-        )
-        async with asyncio.timeout(30.0):
-            while not (running.done() or task.references):
-                await asyncio.sleep(0.01)
-    assert task.references and not running.done()
-    assert [entry["event"] for entry in logs].count("thermal.defect") == 1
-    running.cancel()
-    with contextlib.suppress(asyncio.CancelledError):
-        await running

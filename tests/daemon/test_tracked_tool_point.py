@@ -54,15 +54,6 @@ def test_a_flagged_property_at_its_other_end_is_another_response(tracker: ToolPo
     assert others or None in known.flagged_ends
 
 
-def test_a_missing_sensor_and_a_missing_label(tracker: ToolPointTracker) -> None:
-    degc, estimator = DEGC.copy(), TrackedToolPoint(tracker, LABELS)
-    degc[0] = np.nan
-    assert estimator.renew(200.0, DEGC) is not None
-    assert estimator.renew(210.0, degc) is not None
-    with pytest.raises(ValueError, match="no sensor carries the label Room"):
-        TrackedToolPoint(tracker, {**LABELS, "Room": []})
-
-
 def test_a_signal_that_stands_on_fewer_than_half_of_its_sensors_is_not_followed(tracker: ToolPointTracker) -> None:
     labels = LABELS | {"IR": [0, 1, 5]}
     estimator = TrackedToolPoint(tracker, labels)
@@ -76,18 +67,3 @@ def test_a_signal_that_stands_on_fewer_than_half_of_its_sensors_is_not_followed(
         reasons.append(known.inhibit)
     few = "only 1 of 3 sensors of IR have a value"
     assert [few in reason for reason in reasons] == [False, False, True, False, False]
-
-
-def test_a_mean_without_a_sensor_that_was_never_heard_is_not_followed() -> None:
-    """After a start with one line that is slow, or a sensor that is broken, the mean was at another level unsaid."""
-    whole, without = TrackedToolPoint(new_tracker(), LABELS), TrackedToolPoint(new_tracker(), LABELS)
-    apart = DEGC + np.array([8.0, 0.0, 0.0, 0.0, 0.0])
-    missing = np.where(np.arange(5) == 0, np.nan, apart)
-    for time_s in (300.0, 310.0, 320.0):
-        assert without.renew(time_s, missing) is None
-    assert without.waits == "1 of 2 sensors of IR have had no value since the start, so its level is not known"
-    assert whole.renew(330.0, apart) is not None
-    known = without.renew(330.0, apart)
-    assert known is not None and without.waits == ""
-    assert known.resonance_hz == whole.known.resonance_hz, "nothing of the mean of one sensor is left in it"
-    assert without.renew(340.0, missing) is not None, "one that leaves later is imputed"

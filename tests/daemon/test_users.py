@@ -63,12 +63,6 @@ def test_what_cannot_be_is_refused_with_a_sentence(tmp_path, words, status, sent
     assert path.read_bytes() == before
 
 
-def test_a_short_password_is_refused(tmp_path):
-    answer = added(tmp_path / "users", "anna", password="short")
-    assert answer.exit_code == 2 and "10 to 256 characters" in answer.stderr
-    assert not (tmp_path / "users").exists()
-
-
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [

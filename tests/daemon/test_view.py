@@ -5,7 +5,7 @@ import io
 import pytest
 from rich.console import Console
 
-from daemon.monitor.view import sparkline, status_view, truth_panel
+from daemon.monitor.view import status_view, truth_panel
 from daemon.telemetry.latency import PUBLISHED_DELAY_S
 
 AXIS = {
@@ -85,15 +85,6 @@ def test_what_matters_is_on_the_screen():
         assert words in text, words
 
 
-def test_a_slope_names_its_pivot_and_a_waiting_model_says_why():
-    axes = {"z": AXIS | {"unit": "um/m", "pivot_mm": 250.0}, "y": AXIS}
-    text = shown(
-        status_view(PICTURE | {"axes": axes, "model": {"waits": "m2 makes no estimates yet: a sensor is silent"}})
-    )
-    assert "numbers hold at the pivot: z 250 mm" in text and "model m2 makes no estimates yet: a sensor" in text
-    assert "pivot" not in shown(status_view(PICTURE))
-
-
 @pytest.mark.parametrize("width", [80, 100, 200])
 def test_a_problem_is_shown_whole_and_no_word_of_it_is_cut(width):
     problem = (
@@ -166,25 +157,3 @@ def test_the_whole_view_fits_the_terminal_with_nothing_cut_off(width, height):
         assert words in shown, words
     assert "by another rig" in shown and "Ctrl-C ends" in shown
     assert "requested = what was applied at the reference (z +20.4) - estimated" in shown
-
-
-def test_what_does_not_fit_is_left_out_with_a_word_and_never_what_matters():
-    console = Console(file=io.StringIO(), width=80, height=16, force_terminal=False)
-    lines = console.render_lines(status_view(ROOMY), console.options.update_dimensions(80, 16), pad=False)
-    text = "\n".join("".join(segment.text for segment in line) for line in lines)
-    assert len(lines) <= 16
-    assert "ACTIVE" in text and "within bound" in text and "taller terminal" in text and "insecure" not in text
-
-
-def test_the_truth_is_drawn_on_one_scale():
-    report = {"time_s": 600.0, "truth": {"z": {"uncompensated_um": -40.0, "compensated_um": 4.0}}}
-    text = shown(truth_panel(report, {"z": [(0.0, 0.0), (-20.0, 2.0), (-40.0, 4.0)]}))
-    assert "-40.0" in text and "+4.0" in text and "10.0 min" in text
-    assert "█" in text
-
-
-def test_a_sparkline_is_thinned_out_and_keeps_the_latest():
-    line = sparkline([0.0] * 999 + [10.0], top=10.0, width=20)
-    assert len(line) <= 20 and line.endswith("█")
-    assert sparkline([], top=0.0) == ""
-    assert sparkline([5.0], top=0.0) == "█"

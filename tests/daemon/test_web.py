@@ -4,10 +4,7 @@ import asyncio
 import json
 import socket
 
-import pytest
 from monitor_bench import monitor
-
-from daemon.monitor.web.server import serve_web
 
 
 async def test_metrics_carry_the_stages_and_the_published_figures(tmp_path):
@@ -23,25 +20,6 @@ async def test_metrics_carry_the_stages_and_the_published_figures(tmp_path):
         assert "there is nothing at /nothing" in (await browser.get("/nothing")).detail
     with socket.create_server(("127.0.0.1", bench.port)):
         pass  # the port is free again
-
-
-async def test_a_taken_port_is_an_oserror():
-    with socket.create_server(("127.0.0.1", 0)) as other, pytest.raises(OSError, match="in use"):
-        await serve_web(None, "127.0.0.1", other.getsockname()[1])
-
-
-async def test_every_document_is_answered_before_anything_is_known(tmp_path):
-    async with monitor(tmp_path) as bench:
-        browser = bench.browser()
-        status = (await browser.get("/api/v1/status")).json
-        assert status["state"] == "OFF" and "not been reached" in status["reason"]
-        assert status["axes"]["z"]["applied_um"] is None and status["age_s"] is None
-        assert status["user"] == {"name": None, "role": "viewer", "csrf": None, "expires": None, "accounts": False}
-        assert status["latency"]["published_s"] == 24.7
-        for path in ("sensors", "names", "latency", "estimate", "models", "writes", "series?name=temperature.1"):
-            answer = await browser.get(f"/api/v1/{path}")
-            assert answer.status == 200, (path, answer.body)
-        assert "spindle_speed" in (await browser.get("/api/v1/dynamics")).detail
 
 
 async def test_a_live_viewer_sees_the_state_change(tmp_path):

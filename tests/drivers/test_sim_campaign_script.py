@@ -6,9 +6,8 @@ import pytest
 
 from config.loader import load_configuration
 from config.machines import shipped_file
-from daemon.simulation.faults.script import DAY_S, HABITS, ON_LINES, Happening, Incident, campaign, wire_faults
+from daemon.simulation.faults.script import HABITS, Incident, campaign, wire_faults
 from drivers.sim.faults import FaultKind, check_targets
-from drivers.sim.nc.program import campaign_program
 
 CONFIGURATION = load_configuration(Path(shipped_file("cfrpmt.yaml")))
 LINES = CONFIGURATION.temperatures.lines
@@ -32,40 +31,8 @@ def test_a_short_campaign_brings_other_kinds_with_every_seed() -> None:
     assert all(len(each) > 8 for each in kinds)
 
 
-def test_everything_ends_before_the_campaign_does_and_comes_in_order() -> None:
-    happenings = campaign(4.0, 3, LINES)
-    assert all(happening.end_s < 4.0 * DAY_S for happening in happenings)
-    assert [h.at_s for h in happenings] == sorted(h.at_s for h in happenings)
-    later = [h for h in happenings if h.at_s > DAY_S]
-    assert len(later) > 3 * 20, "by chance, some forty a day"
-
-
 def test_the_faults_on_the_wires_are_ones_that_this_machine_can_have() -> None:
     for seed in range(5):
         faults = wire_faults(campaign(10.0, seed, LINES), LINES)
         check_targets(faults, CONFIGURATION)
         assert {fault.kind for fault in faults} == set(FaultKind)
-
-
-def test_a_blinded_machine_has_every_line_dead() -> None:
-    faults = wire_faults([Happening(kind=Incident.BLIND, at_s=5.0, duration_s=9.0)], LINES)
-    assert {(fault.kind, fault.target, fault.amount) for fault in faults} == {
-        (FaultKind.DEAD_LINE, line.name, 0.0) for line in LINES
-    }
-
-
-def test_clock_steps_and_drifts_go_both_ways() -> None:
-    happenings = campaign(60.0, 1, LINES)
-    for kind in (Incident.CLOCK_STEP, FaultKind.DRIFTING_SENSOR):
-        amounts = [happening.amount for happening in happenings if happening.kind is kind]
-        assert min(amounts) < 0 < max(amounts)
-
-
-def test_line_faults_name_a_line() -> None:
-    names = {line.name for line in LINES}
-    assert all(h.target in names for h in campaign(5.0, 2, LINES) if h.kind in ON_LINES)
-
-
-def test_a_shift_fills_the_day() -> None:
-    _, *day = campaign_program().blocks
-    assert sum(block.duration_s for block in day) == pytest.approx(DAY_S)

@@ -34,14 +34,6 @@ def test_one_row_a_minute_after_a_header(tmp_path: Path) -> None:
     assert logger.rows == 2
 
 
-def test_rows_that_became_due_in_one_step_are_all_written(tmp_path: Path) -> None:
-    logger = csv(displacements(tmp_path))
-    logger.step(86399.9)
-    lines = logger.path.read_bytes().splitlines()
-    assert len(lines) == 1 + 1440
-    assert lines[-1].startswith(b"2024-03-02T07:59:00,")
-
-
 def test_layout_follows_the_configuration(tmp_path: Path) -> None:
     config = DisplacementsConfig(
         file=DisplacementFileConfig(
@@ -67,24 +59,6 @@ def test_layout_follows_the_configuration(tmp_path: Path) -> None:
     assert logger.path.read_bytes() == expected.encode("cp932")
 
 
-def test_without_header_and_time_columns(tmp_path: Path) -> None:
-    config = DisplacementsConfig(
-        file=DisplacementFileConfig(
-            path=tmp_path / "a.csv", encoding="utf-8", start="2024-03-01T08:00:00+00:00", interval_s=30.0
-        ),
-        channels=[DisplacementChannelConfig(name="x1", column=1)],
-    )
-    logger = csv(config)
-    logger.step(59.0)
-    assert logger.path.read_bytes() == b"0.500\r\n0.500\r\n"
-
-
-def test_seconds_since_1970(tmp_path: Path) -> None:
-    logger = csv(displacements(tmp_path, time_format="%s"))
-    logger.step(0.0)
-    assert logger.path.read_bytes().splitlines()[1] == f"{START_UTC_S:.0f},0.500,0.002".encode()
-
-
 def test_layouts_that_the_reader_could_not_read_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="must be given by number"):
         csv(displacements(tmp_path, header=None))
@@ -102,24 +76,11 @@ def test_truncated_file_begins_again(tmp_path: Path) -> None:
     assert logger.path.read_bytes() == HEAD + ROWS[1]
 
 
-def test_file_truncated_to_some_bytes_goes_on_behind_them(tmp_path: Path) -> None:
-    logger = csv(displacements(tmp_path), fault(FaultKind.CSV_TRUNCATED, 30.0, amount=float(len(HEAD) + 4)))
-    logger.step(60.0)
-    assert logger.path.read_bytes() == HEAD + b"2024" + ROWS[1]
-
-
 def test_rotated_file_is_moved_away(tmp_path: Path) -> None:
     logger = csv(displacements(tmp_path), fault(FaultKind.CSV_ROTATED, 30.0))
     logger.step(60.0)
     assert (tmp_path / "displacements.csv.1").read_bytes() == HEAD + ROWS[0]
     assert (tmp_path / "displacements.csv").read_bytes() == HEAD + ROWS[1]
-
-
-def test_rotation_of_a_pattern_begins_a_new_name(tmp_path: Path) -> None:
-    logger = csv(displacements(tmp_path, path=tmp_path / "log-*.csv"), fault(FaultKind.CSV_ROTATED, 30.0))
-    logger.step(60.0)
-    assert (tmp_path / "log-0001.csv").read_bytes() == HEAD + ROWS[0]
-    assert (tmp_path / "log-0002.csv").read_bytes() == HEAD + ROWS[1]
 
 
 def test_half_a_row_is_completed_later(tmp_path: Path) -> None:
@@ -128,10 +89,4 @@ def test_half_a_row_is_completed_later(tmp_path: Path) -> None:
     logger.step(79.9)
     assert logger.path.read_bytes() == HEAD + ROWS[0] + ROWS[1][:half]
     logger.step(80.0)
-    assert logger.path.read_bytes() == HEAD + b"".join(ROWS)
-
-
-def test_half_a_row_is_completed_before_the_next_row(tmp_path: Path) -> None:
-    logger = csv(displacements(tmp_path), fault(FaultKind.CSV_HALF_ROW, 0.0, duration_s=1000.0))
-    logger.step(60.0)
     assert logger.path.read_bytes() == HEAD + b"".join(ROWS)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from scripted_machine import configuration
 
-from drivers.sim.faults import Fault, FaultKind, FaultScriptError, check_targets, load_faults, of_kind, parse_faults
+from drivers.sim.faults import Fault, FaultKind, FaultScriptError, check_targets, load_faults, parse_faults
 
 SCRIPT = """\
 - {kind: noise, at_s: 600, duration_s: 60, target: spindle, amount: 0.02}
@@ -28,20 +28,6 @@ def test_a_script_becomes_frozen_records(tmp_path: Path) -> None:
         Fault(kind=FaultKind.CSV_TRUNCATED, at_s=5.0, amount=0.0),
     )
     assert parse_faults("") == ()
-
-
-def test_a_fault_is_active_from_its_beginning_until_before_its_end() -> None:
-    fault = Fault(kind=FaultKind.NOISE, at_s=10.0, duration_s=5.0)
-    assert [fault.active(t) for t in (9.999, 10.0, 14.999, 15.0)] == [False, True, True, False]
-    assert Fault(kind=FaultKind.NOISE, at_s=10.0).active(1e9)
-
-
-def test_faults_are_selected_by_kind_in_the_order_of_time() -> None:
-    late, early, other = (
-        Fault(kind=kind, at_s=at_s)
-        for kind, at_s in ((FaultKind.NOISE, 9.0), (FaultKind.NOISE, 1.0), (FaultKind.UNPLUGGED, 0.0))
-    )
-    assert of_kind([late, other, early], FaultKind.NOISE) == (early, late)
 
 
 @pytest.mark.parametrize(
@@ -78,11 +64,6 @@ def test_mistakes_are_told_with_their_place(text: str, message: str) -> None:
         parse_faults(text, "f")
 
 
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(FaultScriptError, match=r"nowhere\.yaml: cannot be read"):
-        load_faults(tmp_path / "nowhere.yaml")
-
-
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
@@ -94,10 +75,3 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 def test_targets_must_exist(tmp_path: Path, fault: Fault, message: str) -> None:
     with pytest.raises(FaultScriptError, match=message):
         check_targets([fault], configuration(tmp_path))
-
-
-def test_csv_faults_need_a_csv(tmp_path: Path) -> None:
-    without = configuration(tmp_path).model_copy(update={"displacements": None})
-    with pytest.raises(FaultScriptError, match="no displacement file"):
-        check_targets([Fault(kind=FaultKind.CSV_ROTATED, at_s=1)], without)
-    check_targets([Fault(kind=FaultKind.CSV_ROTATED, at_s=1)], configuration(tmp_path))

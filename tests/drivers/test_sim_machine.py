@@ -153,25 +153,6 @@ def test_what_is_applied_at_positioning_belongs_to_the_work() -> None:
     assert at.compensated_um - at.uncompensated_um == pytest.approx(2.0)
 
 
-def test_block_written_within_a_safe_point_is_taken_there() -> None:
-    simulated = machine(SHORT)
-    simulated.advance(51.5)
-    ask(simulated, y=1.0, z=2.0)
-    assert simulated.guard.applied_um == {"y": 0.0, "z": 0.0}
-    simulated.advance(52.5)
-    assert simulated.guard.applied_um == pytest.approx({"y": 1.0, "z": 2.0})
-    assert simulated.nc.macros.get(MAP.echo_time) == pytest.approx(simulated.nc.clock_at(52.0))
-
-
-def test_expired_block_is_kept_over_safe_points() -> None:
-    simulated = machine(SHORT)
-    simulated.advance(45.0)
-    ask(simulated, y=0.0, z=4.0)
-    simulated.advance(400.0)
-    assert simulated.guard.applied_um["z"] == pytest.approx(4.0)
-    assert simulated.nc.macros.get(MAP.echo_status) == 3.0
-
-
 def test_power_cycle() -> None:
     simulated = machine(SHORT)
     simulated.advance(45.0)
@@ -191,14 +172,6 @@ def test_power_cycle() -> None:
     assert nc.clock_s == pytest.approx(7.5, abs=0.001)
 
 
-def test_clock_drifts_by_parts_per_million() -> None:
-    simulated = machine(SHORT)
-    start_s = simulated.nc.clock_s
-    simulated.advance(3600.0)
-    drift_s = simulated.nc.clock_s - start_s - 3600.0
-    assert 0 < abs(drift_s) < 0.2
-
-
 def test_demo_cuts_at_high_speed_with_safe_points_and_new_positionings() -> None:
     program = demo_program()
     assert program.blocks[0].kind == "idle" and 120 <= program.blocks[0].duration_s <= 180
@@ -216,31 +189,6 @@ def test_demo_cuts_at_high_speed_with_safe_points_and_new_positionings() -> None
     assert len(positionings) == 3
     assert all(45 * 60 <= gap <= 60 * 60 for gap in np.diff(positionings))
     assert np.median(np.diff(safe_starts)) == 60.0
-
-
-def test_uncompensated_error_of_the_demo_matters() -> None:
-    simulated = machine()
-    largest = 0.0
-    for time_s in range(10, 1200, 10):
-        simulated.advance(float(time_s))
-        if (at := simulated.truth().get("z")) and at.cutting:
-            largest = max(largest, abs(at.uncompensated_um))
-    assert 6.0 < largest < 30.0
-
-
-def test_displacements_start_at_zero_and_the_bar_end_moves_most() -> None:
-    simulated = machine()
-    assert all(abs(um) < 0.6 for um in simulated.displacement_um().values())
-    simulated.advance(3600.0)
-    um = simulated.displacement_um()
-    assert set(um) == {"X", "Y1", "Y2", "Z1", "Z2", "Z3"}
-    assert um["Z2"] < um["Z1"] < um["Z3"]
-
-
-def test_axes_that_the_machine_does_not_have_are_refused() -> None:
-    axes = {"c": AXES["z"]}
-    with pytest.raises(ValueError, match="not c"):
-        CfrpMachine(Day.nominal(), demo_program(), SENSORS, MAP, axes)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import psutil
 import pytest
 import pytest_asyncio
 from asyncua import Client, ua
-from scripted_machine import NAMESPACE, SERVER_URI, ScriptedNc, cnc_config
+from scripted_machine import NAMESPACE, ScriptedNc, cnc_config
 
 from drivers.sim.wires.opcua_server import SimulatedCncServer
 
@@ -49,34 +49,6 @@ async def test_listens_on_loopback_only(server: SimulatedCncServer) -> None:
     assert set(listening) == {"127.0.0.1"}
 
 
-async def test_calls_itself_by_the_application_uri(client: Client) -> None:
-    assert [e.Server.ApplicationUri for e in await client.get_endpoints()] == [SERVER_URI]
-    assert await client.get_node(ua.ObjectIds.Server_ServerArray).read_value() == [SERVER_URI]
-
-
-async def test_reads_show_the_present_state(client: Client) -> None:
-    node = client.get_node(await variable(client, "s=SequenceNumber"))
-    clock = client.get_node(await variable(client, "s=Clock"))
-    for number in (30, 40):
-        NC.sequence_number = number
-        assert await node.read_value() == number
-    assert await clock.read_value() < await clock.read_value()
-
-
-async def test_the_servers_own_time_moves(client: Client) -> None:
-    node = client.get_node(ua.ObjectIds.Server_ServerStatus_CurrentTime)
-    first = await node.read_value()
-    assert await node.read_value() > first
-
-
-async def test_vacant_macro_has_a_status_and_no_value(client: Client) -> None:
-    node = client.get_node(await variable(client, "s=Macro.501"))
-    answer = await node.read_data_value(raise_on_bad_status=False)
-    assert (answer.StatusCode.name, answer.Value.Value) == ("BadNoData", None)
-    NC.macros.set(501, 0.25)
-    assert await node.read_value() == 0.25
-
-
 async def test_writes_reach_the_nc_at_once_and_in_order(client: Client) -> None:
     numbers = [505, 500, 100, 503, 501]
     items = [
@@ -99,10 +71,6 @@ async def test_state_and_echo_are_not_writable(client: Client, text: str) -> Non
     assert NC.macros.written == []
 
 
-async def test_macros_outside_the_list_do_not_exist(client: Client) -> None:
-    assert await write(client, "s=Macro.900", ua.Variant(1.0, ua.VariantType.Double)) != "Good"
-
-
 @pytest.mark.parametrize(
     ("value", "status"),
     [
@@ -116,14 +84,6 @@ async def test_macros_outside_the_list_do_not_exist(client: Client) -> None:
 async def test_values_that_are_no_numbers_are_refused(client: Client, value: ua.Variant, status: str) -> None:
     assert await write(client, "s=Macro.501", value) == status
     assert NC.macros.written == []
-
-
-async def test_clients_are_never_administrators(client: Client) -> None:
-    node = client.get_node(await variable(client, "s=Macro.510"))
-    with pytest.raises(ua.uaerrors.BadUserAccessDenied):
-        await node.set_writable()
-    with pytest.raises(ua.uaerrors.BadUserAccessDenied):
-        await client.nodes.objects.add_variable(1, "mine", 1.0)
 
 
 async def test_subscribers_are_told_of_changes(client: Client) -> None:

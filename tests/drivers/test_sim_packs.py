@@ -28,19 +28,6 @@ def test_the_sensor_follows_its_pack_with_one_time_constant():
     assert sensor.degc(440.0) == pytest.approx(2.0 + (top - 2.0) / math.e)
 
 
-@pytest.mark.parametrize("number", [1, 2])
-def test_the_lag_is_the_time_until_the_change_can_be_seen(number):
-    sensor, move_s = SensorOnPacks(SCRIPT), SCRIPT.moves_s[number - 1]
-    lag_s = sensor.lag_s(number)
-    assert 0.0 < lag_s < 1.0
-    assert abs(sensor.degc(move_s + lag_s) - sensor.degc(move_s)) == pytest.approx(SCRIPT.change_degc)
-
-
-def test_a_move_that_changes_nothing_is_never_seen():
-    same = PackScript(sensor=5, ice_degc=2.0, hot_degc=2.1, lag_s=40.0, change_degc=0.1875, moves_s=(1.0,), macro=549)
-    assert SensorOnPacks(same).lag_s(1) == math.inf
-
-
 def packed(told):
     configuration = shipped_machine()
     machine = CfrpMachine(

@@ -7,15 +7,13 @@ from contextlib import aclosing
 from pathlib import Path
 from typing import Any
 
-import aiomqtt
 import pytest
 
 from config.schema.source_drivers import SourceConfig
 from drivers import registry
 from drivers.clock import SystemClock
-from drivers.sim.wires.mqtt_broker import SimulatedBroker
 from drivers.sim.wires.pushed_wires import follows
-from drivers.sim.wires.source_wires import SourceWires, face_of
+from drivers.sim.wires.source_wires import SourceWires
 
 pytestmark = pytest.mark.wires
 
@@ -84,30 +82,3 @@ async def test_every_cycle_that_is_sent_arrives_with_its_values(
     await wires.close()
     assert sent == 1 and cycles[0].complete and not cycles[0].faults
     assert cycles[0].degc.tolist() == pytest.approx([21.5, -3.25, 40.0], abs=0.01)
-
-
-async def test_a_broker_passes_on_what_was_subscribed_to_and_ends_what_is_no_mqtt() -> None:
-    served = SimulatedBroker(0)
-    await served.start()
-    assert served.publish({"x/1": b"5"}) == 0, "nobody listens"
-    async with asyncio.timeout(20), aiomqtt.Client("127.0.0.1", served.port) as client:
-        await client.subscribe([("x/+", 0), ("whole/#", 0)])
-        assert served.publish({"x/1": b"5", "y": b"6", "whole/a/b": b"7" * 300}) == 2
-        got = [await anext(aiter(client.messages)) for _ in range(2)]
-        assert [(str(each.topic), each.payload) for each in got] == [("x/1", b"5"), ("whole/a/b", b"7" * 300)]
-        for junk in (b"GET / HTTP/1.1\r\n\r\n", b"\x10\xff\xff\xff\xff\x7f", b"\x82\x03\x00\x01\x00", b"\x10\x00"):
-            reader, writer = await asyncio.open_connection("127.0.0.1", served.port)
-            writer.write(junk)
-            writer.write_eof()
-            await reader.read()
-            writer.close()
-        assert served.publish({"x/2": b"1"}) == 1, "others go on"
-    await served.stop()
-
-
-def test_a_field_that_is_a_number_and_holds_others_is_refused() -> None:
-    sensors = [{"id": 7, "topic": "a", "field": field, **PLACED} for field in ("x", "x.y")]
-    sensors[1]["id"] = 8
-    entry = {"name": "it", "driver": "mqtt", "mqtt": {"host": "127.0.0.1", "sensors": sensors}}
-    with pytest.raises(ValueError, match="cannot be a number and hold others"):
-        face_of(SourceConfig.model_validate(entry), read)

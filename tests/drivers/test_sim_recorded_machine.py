@@ -77,18 +77,6 @@ def test_nothing_is_applied_before_the_tool_is_at_a_safe_point() -> None:
     assert played.truth()["Y1"].compensated_um == pytest.approx(0.0)
 
 
-def test_the_guard_runs_once_a_second_however_the_machine_is_moved_on() -> None:
-    often, seldom = machine(), machine()
-    for played in (often, seldom):
-        ask(played, 6.0)
-    for time_s in np.arange(0.5, 300.0, 0.5):
-        often.advance(float(time_s))
-    seldom.advance(300.0)
-    often.advance(300.0)
-    for number in (550, 551, 552, 580, 581):
-        assert often.nc.macros.get(number) == seldom.nc.macros.get(number)
-
-
 def test_a_map_with_a_handshake_asks_for_a_reference_at_positioning() -> None:
     played = machine(request=True)
     played.advance(LEAD_IN_S - 0.1)
@@ -114,23 +102,6 @@ def test_work_is_positioned_until_the_daemon_has_taken_it_however_late_it_looks(
     played.nc.macros.set(534, again)
     played.advance(LEAD_IN_S + 245.0)
     assert played.nc.sequence_number == 900
-
-
-def test_what_was_measured_goes_straight_from_row_to_row() -> None:
-    played = machine()
-    played.advance(LEAD_IN_S + 55.0)
-    assert played.displacement_um()["Z2"] == pytest.approx(-3.0), "half way from 0 to -6"
-    played.advance(LEAD_IN_S + 60.0)
-    assert played.displacement_um()["Z2"] == pytest.approx(-6.0)
-    played.advance(LEAD_IN_S + 700.0)
-    assert played.displacement_um()["Z2"] == pytest.approx(-6.0), "the last row stands"
-
-
-def test_the_sensors_must_be_those_of_the_recording() -> None:
-    played = machine()
-    assert played.register_codes([1]) == [round(21.5 * 16)]
-    with pytest.raises(KeyError):
-        played.register_codes([2])
 
 
 def test_the_control_shows_recorded_positions_on_the_way_from_row_to_row_and_none_where_one_is_missing() -> None:

@@ -15,7 +15,7 @@ from scripted_machine import ScriptedMachine, cnc_config, configuration
 from drivers.clock import ScaledClock, SystemClock
 from drivers.contract import LinkError
 from drivers.opcua.cnc import OpcUaCnc
-from drivers.sim.faults import Fault, FaultKind, FaultScriptError
+from drivers.sim.faults import Fault, FaultKind
 from drivers.sim.wires.latsis_wire import PHASE_STEP
 from drivers.sim.wires.runner import LARGEST_STEP_S, Ready, run_simulated_machine
 from models.records import Instant
@@ -136,35 +136,6 @@ async def test_faces_show_one_machine(tmp_path: Path) -> None:
     await running.stop()
 
 
-async def test_one_report_a_period_that_misses_no_peak_of_a_cut(tmp_path: Path) -> None:
-    running = Running(tmp_path, HandClock(), report_period_s=5.0)
-    running.machine.truth_table = [
-        (0.0, -3.0, 1.0, True),
-        (12.0, -40.0, 12.0, True),
-        (14.0, 90.0, 95.0, False),
-        (16.0, 2.0, 2.0, True),
-    ]
-    await asyncio.wait_for(running.ready, 30)
-    assert isinstance(running.clock, HandClock)
-    for time_s in (4.0, 6.0, 9.9, 21.0, 24.9, 25.0):
-        running.clock.elapsed_s = time_s
-        async with asyncio.timeout(30):
-            while running.machine.time_s < time_s:
-                await asyncio.sleep(0.005)
-            looks = running.clock.looks
-            while running.clock.looks < looks + 10:  # what is to be reported of that time has been
-                await asyncio.sleep(0.005)
-    assert [report["time_s"] for report in running.reports] == [0.0, 6.0, 21.0, 25.0]
-    assert running.reports[-2]["truth"]["Z"] == {
-        "uncompensated_um": 2.0,
-        "compensated_um": 2.0,
-        "cutting": True,
-        "uncompensated_max_um": 40.0,
-        "compensated_max_um": 12.0,
-    }
-    await running.stop()
-
-
 async def test_lines_begin_and_end_on_the_clock_and_the_last_pass_is_told(tmp_path: Path) -> None:
     clock = HandClock()
     clock.elapsed_s = -5.0
@@ -228,10 +199,3 @@ async def test_cancel_leaves_nothing_behind(tmp_path: Path) -> None:
     await leaves_nothing_behind(once)
     assert asyncio.all_tasks() == tasks
     assert [path.name for path in tmp_path.iterdir()] == ["displacements.csv"]
-
-
-async def test_an_impossible_fault_is_told_before_anything_starts(tmp_path: Path) -> None:
-    running = Running(tmp_path, HandClock(), Fault(kind=FaultKind.UNPLUGGED, at_s=0.0, target="nowhere"))
-    with pytest.raises(FaultScriptError, match="no line is called 'nowhere'"):
-        await running.task
-    assert list(tmp_path.iterdir()) == []

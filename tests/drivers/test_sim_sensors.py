@@ -17,9 +17,7 @@ from drivers.sim.machine.sensor_places import sensor_shares
 from drivers.sim.machine.sensors import (
     CONTACT_LAG_S,
     OFFSET_LIMIT_K,
-    RotationJump,
     SensorArray,
-    displacement_reading_um,
 )
 
 SENSORS = [
@@ -61,24 +59,6 @@ def test_codes_are_those_of_the_devices(degc: float) -> None:
     assert (understood[CONTACT] / 0.0625 == np.rint(understood[CONTACT] / 0.0625)).all()
 
 
-def test_data_sheet_examples_of_the_tmp102() -> None:
-    sensors = array()
-    sensors.offset_k[:] = 0.0
-    contact = np.array(CONTACT)
-    for degc, code in ((25.0, 0x190), (-25.0, 0xE70)):
-        codes = sensors.codes(uniform(degc)[: len(SENSORS)], 0.0)
-        assert abs(np.median(codes[contact]) - code) <= 1
-
-
-def test_noise_stays_within_a_conversion_and_changes_between_them() -> None:
-    sensors = array()
-    degc = sensors.settled(uniform(25.0))
-    assert (sensors.codes(degc, 20.0) == sensors.codes(degc, 29.9)).all()
-    assert any((sensors.codes(degc, 20.0) != sensors.codes(degc, 20.0 + 10.0 * k)).any() for k in range(1, 6))
-    again = array()
-    assert (again.codes(degc, 20.0) == sensors.codes(degc, 20.0)).all()
-
-
 def test_contact_sensors_lag_and_the_infrared_hardly() -> None:
     sensors = array()
     degc = sensors.settled(uniform(20.0))
@@ -98,40 +78,6 @@ def test_neighbours_differ_and_sensors_read_their_own_component() -> None:
     cast = shares[[row for row, sensor in enumerate(SENSORS) if sensor.part == "Cast metal"]]
     assert len({tuple(row) for row in cast}) == len(cast)
     assert shares[0, INDEX["air_low"]] > 0 and shares[0, INDEX["shaft_front"]] == 0
-
-
-def test_no_sensor_sits_inside_shaft_bearings_or_test_bar() -> None:
-    shares = sensor_shares(SENSORS)
-    inside = ["shaft_front", "shaft_rotor", "shaft_rear", "bearing_front", "bearing_rear", "test_bar", "tool"]
-    assert (shares[:, [INDEX[name] for name in inside]] == 0).all()
-
-
-def test_unknown_component_is_named() -> None:
-    with pytest.raises(ValueError, match=r"sensor 7: .* 'Gearbox'"):
-        sensor_shares([SensorConfig(id=7, component="Gearbox")])
-
-
-def test_unknown_sensor_is_refused() -> None:
-    sensors = array()
-    codes = sensors.codes(sensors.settled(uniform(25.0)), 0.0)
-    assert sensors.pick(codes, [301, 1]) == [int(codes[-1]), int(codes[0])]
-    with pytest.raises(KeyError):
-        sensors.pick(codes, [999])
-
-
-def test_displacement_readings_are_quantised_and_repeatable() -> None:
-    true_um = np.linspace(-20.0, 20.0, 6)
-    reading = displacement_reading_um(true_um, 120.0, 5)
-    assert reading == pytest.approx(np.rint(reading * 10) / 10)
-    assert reading == pytest.approx(true_um, abs=0.6)
-    assert (reading == displacement_reading_um(true_um, 120.0, 5)).all()
-
-
-def test_rotation_jump_comes_and_goes_with_rotation() -> None:
-    jump = RotationJump(um={"Z2": 4.0})
-    assert jump.at("Z2", 0.0) == 0.0
-    assert jump.at("Z2", 12000.0) == pytest.approx(4.0, abs=0.01)
-    assert jump.at("Y1", 12000.0) == 0.0
 
 
 def test_published_sensor_list_finds_its_places() -> None:

@@ -1,7 +1,6 @@
 """Axes of the simulated machine that travel: where they stand, what their scales grow, what a slope does there."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,13 +12,10 @@ from daemon.simulation.simulation import simulated_day
 from drivers.clock import SystemClock
 from drivers.guard.check import block_check
 from drivers.sim.machine.day import Day
-from drivers.sim.machine.heat import INDEX
 from drivers.sim.machine.machine import CfrpMachine
 from drivers.sim.machine.recording import record
-from drivers.sim.machine.travel import ENDS, EXPANSION_UM_PER_M_K, SHARES, AxisTravel, axis_travels
+from drivers.sim.machine.travel import SHARES, AxisTravel
 from drivers.sim.nc.program import POSITIONING, demo_program
-
-Z_READ: dict[str, Any] = {"axis": "Z", "travel_mm": [0.0, 500.0], "rapid_mm_per_min": 1200.0}
 
 
 def day(configuration: Configuration) -> CfrpMachine:
@@ -43,14 +39,6 @@ def test_the_axis_goes_to_another_place_with_every_cut_and_the_control_tells_it(
     assert machine.nc.positions_mm["X"] == machine.nc.positions_mm["Y"] == 0.0, "nothing is said of their travel"
 
 
-def test_an_axis_moves_no_faster_than_is_believed_of_it_and_grows_where_it_has_a_slope_only(tmp_path: Path) -> None:
-    given = content(tmp_path)
-    given["cnc"]["axis_positions"] = {"Z_mm": Z_READ, "X_mm": Z_READ | {"axis": "X", "travel_mm": [-50.0, 50.0]}}
-    travels = axis_travels(configured(given))
-    assert travels["z"] == AxisTravel(lowest_mm=0.0, highest_mm=500.0, mm_per_s=10.0)
-    assert travels["x"] == AxisTravel(lowest_mm=-50.0, highest_mm=50.0, mm_per_s=10.0, grows=False)
-
-
 def test_what_is_applied_as_a_slope_moves_the_tool_where_the_axis_stands(tmp_path: Path) -> None:
     machine = day(sloped(tmp_path))
     machine.advance(460.0)
@@ -62,18 +50,6 @@ def test_what_is_applied_as_a_slope_moves_the_tool_where_the_axis_stands(tmp_pat
     assert machine.truth()["z"].compensated_um - before.compensated_um == pytest.approx(moved_um, abs=0.01)
     assert machine.truth()["z"].uncompensated_um == before.uncompensated_um
     assert machine.displacement_um()["Z1"] - read_um == pytest.approx(moved_um, abs=0.01)
-
-
-def test_a_scale_grows_with_its_temperatures_and_adds_nothing_in_the_middle(tmp_path: Path) -> None:
-    machine = day(sloped(tmp_path))
-    degc = np.full(len(INDEX), 20.0)
-    degc[[INDEX[node] for node in ENDS["z"]]] = 22.0, 24.0
-    travel = machine.body.travel
-    machine.advance(900.0)
-    along_m = 1e-3 * (travel.positions_mm(900.0)["z"] - PIVOT_MM)
-    expected = EXPANSION_UM_PER_M_K * (3.0 * along_m + 2.0 * along_m**2)
-    np.testing.assert_allclose(travel.grown_um(degc, 900.0), [0.0, 0.0, expected])
-    assert not travel.grown_um(np.full(len(INDEX), 20.0), 900.0).any()
 
 
 def test_a_day_without_travel_is_what_it_was_and_one_with_it_tells_the_slope(tmp_path: Path) -> None:

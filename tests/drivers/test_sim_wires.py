@@ -11,11 +11,10 @@ import pytest
 from left_behind import descriptors
 from scripted_machine import ScriptedMachine, configuration
 
-from config.schema.temperatures import GrammarConfig, LineConfig
+from config.schema.temperatures import LineConfig
 from drivers.sim.faults import Fault, FaultKind
 from drivers.sim.wires.latsis_encoding import LineTransmitter, checksum, encode_frame
 from drivers.sim.wires.latsis_wire import LatsisWires
-from drivers.sim.wires.pty_port import PtyPort
 
 BARE_CYCLE = b"04194\r\n030193\r\n02192\r\n01191\r\n"
 """Sensors 4, 3 (infrared, four digits), 2 and 1 of the line `spindle`, which read 190h plus their ID."""
@@ -80,22 +79,10 @@ def test_frames_of_the_two_profiles() -> None:
     assert encode_frame(checked, 0xC8, 3, 0x190) == b":0C8,190,00*FD\r\n"
 
 
-def test_own_grammars() -> None:
-    grammar = GrammarConfig(start=":", id_digits=2, separator=" ", status=False, checksum="none", end="CR")
-    assert encode_frame(grammar, 5, 4, 0x3A5B) == b":05 3A5B\r"
-    assert encode_frame(grammar.model_copy(update={"end": "LF", "start": ""}), 5, 4, 1) == b"05 0001\n"
-
-
 def test_checksums_by_their_known_values() -> None:
     assert checksum("crc8", b"123456789") == 0xF4
     assert checksum("sum8", b"123456789") == 0xDD
     assert (checksum("lrc8", b"123456789") + 0xDD) % 256 == 0
-
-
-@pytest.mark.parametrize(("wire_id", "value"), [(0x100, 0), (-1, 0), (0, 0x1000), (0, -1)])
-def test_what_does_not_fit_its_digits_is_refused(wire_id: int, value: int) -> None:
-    with pytest.raises(ValueError, match="do not fit"):
-        encode_frame(LineConfig(name="a", port="-", chain=[1]).frame_grammar, wire_id, 3, value)
 
 
 def test_negative_and_extended_registers() -> None:
@@ -104,10 +91,6 @@ def test_negative_and_extended_registers() -> None:
 
     assert transmitter(read=below_zero).advance(9.9).startswith(b"04E70\r\n")
     assert transmitter(read=below_zero, extended_mode=True).advance(9.9).startswith(b"041E70\r\n")
-
-
-def test_the_offset_moves_the_ids_on_the_wire() -> None:
-    assert transmitter(id_offset=0x10).advance(9.9).startswith(b"14194\r\n")
 
 
 # Pacing
@@ -134,26 +117,6 @@ def test_every_cycle_is_sent_once_however_coarse_the_steps() -> None:
         assert line.cycles_sent == 100
 
 
-def test_a_cycle_carries_what_the_sensors_read_when_it_begins() -> None:
-    level = [0]
-
-    def rising(ids: Sequence[int]) -> list[int]:
-        level[0] += 1
-        return [level[0]] * len(ids)
-
-    line = transmitter(read=rising)
-    assert line.advance(9.9).startswith(b"04001\r\n")
-    assert line.advance(19.9).startswith(b"04002\r\n")
-
-
-def test_phase_delays_the_first_cycle() -> None:
-    config = LineConfig(name="a", port="-", chain=[1])
-    line = LineTransmitter(config, {1: "TMP102"}, codes, phase_s=3.8)
-    assert line.advance(3.8) == b""
-    assert line.advance(4.8) == b"01191\r\n"
-    assert line.advance(13.8) == b""
-
-
 def test_a_line_that_is_too_slow_for_its_cycle_is_refused() -> None:
     with pytest.raises(ValueError, match=r"line spindle needs 2\.9 s per cycle at 100 baud"):
         transmitter(baud=100, cycle_period_s=2.0)
@@ -175,25 +138,10 @@ def test_noise_damages_the_share_of_bytes_and_is_the_same_for_the_same_seed() ->
     assert 150 < line.cycles_disturbed <= 200
 
 
-def test_lost_bytes_are_missing() -> None:
-    line = transmitter(fault(FaultKind.LOST_BYTES, amount=0.2))
-    assert 0.7 < len(line.advance(1999.9)) / (200 * len(BARE_CYCLE)) < 0.9
-
-
 def test_a_dead_line_is_silent_and_counts_no_cycle() -> None:
     line = transmitter(fault(FaultKind.DEAD_LINE, at_s=10.0, duration_s=20.0))
     assert line.advance(39.9) == BARE_CYCLE * 2
     assert (line.cycles_sent, line.cycles_disturbed) == (2, 2)
-
-
-def test_a_line_can_die_in_the_middle_of_a_frame() -> None:
-    line = transmitter(fault(FaultKind.DEAD_LINE, at_s=0.1045), baud=1000)
-    assert line.advance(9.9) == BARE_CYCLE[:10]
-
-
-def test_a_broken_line_speaks_up_to_the_break() -> None:
-    line = transmitter(fault(FaultKind.DEAD_LINE, amount=2.0))
-    assert line.advance(9.9) == b"02192\r\n01191\r\n"
 
 
 def test_a_renumbered_line_has_one_node_less_and_the_others_moved_up() -> None:
@@ -220,33 +168,7 @@ def test_a_stuck_sensor_repeats_and_then_follows_again() -> None:
     assert [int(v[9:13], 16) for v in values] == [0, 1, 2, 3, 4, 5]
 
 
-def test_a_drifting_sensor_drifts_by_degrees_per_hour() -> None:
-    line = transmitter(
-        fault(FaultKind.DRIFTING_SENSOR, target=4, amount=2.0), fault(FaultKind.DRIFTING_SENSOR, target=3, amount=-1.0)
-    )
-    line.advance(3599.9)
-    last = line.advance(3609.9)
-    assert int(last[2:5], 16) == 0x194 + 32
-    assert int(last[9:13], 16) == 0x193 - 50
-
-
-def test_faults_of_another_line_do_not_matter() -> None:
-    line = transmitter(fault(FaultKind.DEAD_LINE, target="column"), fault(FaultKind.STUCK_SENSOR, target=11))
-    assert line.advance(9.9) == BARE_CYCLE
-    assert line.cycles_disturbed == 0
-
-
 # Ports
-
-
-def test_bytes_arrive_raw_through_the_named_port(tmp_path: Path, wires: Callable[..., LatsisWires]) -> None:
-    lines = wires()
-    reader = Reader(tmp_path / "spindle.tty")
-    for step in range(1, 25):
-        lines.step(step * 0.5)
-    assert reader.read() == BARE_CYCLE * 2
-    assert lines.cycles_sent == {"spindle": 2, "column": 1}
-    reader.close()
 
 
 def test_what_nobody_reads_is_lost_and_never_stops_the_line(tmp_path: Path, wires: Callable[..., LatsisWires]) -> None:
@@ -263,24 +185,6 @@ def test_what_nobody_reads_is_lost_and_never_stops_the_line(tmp_path: Path, wire
     lines.step(24 * 3600.0 + 29.9)
     assert again.read() == BARE_CYCLE
     again.close()
-
-
-def test_a_slow_reader_gets_everything_up_to_a_limit(tmp_path: Path) -> None:
-    port = PtyPort(tmp_path / "a.tty")
-    port.plug()
-    reader = Reader(port.link)
-    data = bytes(range(256)) * 600
-    port.write(data)
-    arrived = reader.read()
-    while len(arrived) < len(data):
-        port.write(b"")
-        arrived += reader.read()
-    assert arrived == data
-    for _ in range(5):
-        port.write(data)
-    assert port.bytes_dropped > 0
-    reader.close()
-    port.unplug()
 
 
 def test_an_unplugged_port_vanishes_hangs_up_and_comes_back(tmp_path: Path, wires: Callable[..., LatsisWires]) -> None:
@@ -322,13 +226,3 @@ def test_close_takes_the_ports_away_and_leaks_no_descriptor(tmp_path: Path) -> N
 
 def leading_to(devices: list[str]) -> list[str]:
     return sorted(target for target in descriptors().values() if target.removesuffix(" (deleted)") in devices)
-
-
-def test_a_name_taken_over_by_somebody_else_is_left_alone(tmp_path: Path) -> None:
-    first, second = PtyPort(tmp_path / "a.tty"), PtyPort(tmp_path / "a.tty")
-    first.plug()
-    second.plug()
-    first.unplug()
-    assert (tmp_path / "a.tty").exists()
-    second.unplug()
-    assert not (tmp_path / "a.tty").is_symlink()

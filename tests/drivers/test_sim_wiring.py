@@ -63,8 +63,3 @@ def test_the_sensors_see_what_the_compensation_does(wiring: Wiring, moved: dict[
         machine.advance(3.0)
     before, after = left.displacement_um(), compensated.displacement_um()
     assert {channel: after[channel] - before[channel] for channel in moved} == pytest.approx(moved, abs=1e-9)
-
-
-def test_an_axis_that_does_not_exist_is_refused() -> None:
-    with pytest.raises(ValueError, match="not w"):
-        Wiring(um_per_um={"z": {"w": 1.0}})
