@@ -42,11 +42,6 @@ def test_every_text_is_escaped_wherever_it_stands() -> None:
     assert page.tags.count("svg") == 1
 
 
-def test_cells_show_four_digits_and_a_dash_for_nothing() -> None:
-    page = Page(html_page("t", [Section(rows=((None, 1234.5678, 7, "as it is"),))]))
-    assert page.texts[2:] == ["-", "1235", "7", "as it is"]
-
-
 def test_a_page_for_paper_lets_a_browser_run_nothing() -> None:
     assert "default-src 'none'" in html_page("t", [], paper=True)
     assert "Content-Security-Policy" not in html_page("t", [])

@@ -14,7 +14,7 @@ from config.loader import ConfigurationError, load_configuration, load_yaml_mode
 from config.sample import sample_configuration
 from config.schema.base import Section
 from config.schema.cnc_drivers import OpcUaConfig
-from config.yaml_document import MAX_VALUES, read_yaml
+from config.yaml_document import read_yaml
 
 
 class Part(Section):
@@ -153,28 +153,6 @@ def test_dates_ranges_and_quoted_words_are_text() -> None:
     assert whole.named["no"].name == "on"
 
 
-def test_anchors_and_merge_keys() -> None:
-    text = (
-        "title: x\nnamed:\n  a: &a {name: first, count: 3}\n  b: {<<: *a, name: second}\n"
-        "  c: &c {name: third, count: 9}\n  d: {<<: [*a, *c]}\n"
-    )
-    named = parse_yaml_model(text, Whole, "f.yaml").named
-    assert (named["b"].name, named["b"].count) == ("second", 3)
-    assert (named["d"].name, named["d"].count) == ("first", 3)
-
-
-def test_aliases_of_aliases_end_with_a_sentence() -> None:
-    levels = [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12)]
-    found = problems("a0: &a0 [x, x]\n" + "\n".join(levels))
-    assert any(f"more than {MAX_VALUES} values" in line for line in found)
-
-
-def test_deep_nesting_ends_with_a_sentence() -> None:
-    assert problems("title: " + "[" * 5000) == [
-        "f.yaml:1:1: lists or mappings are nested too deeply to be a configuration"
-    ]
-
-
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     missing = tmp_path / "missing.yaml"
     with pytest.raises(ConfigurationError, match=r"missing\.yaml: cannot be read: No such file"):
@@ -207,12 +185,6 @@ def test_a_file_that_is_too_large_is_refused_before_it_is_parsed(tmp_path: Path)
 )
 def test_a_text_that_is_too_long_is_refused_with_its_place(text: str, problem: str) -> None:
     assert problems(text) == [problem]
-
-
-def test_byte_order_mark_is_no_part_of_the_first_key(tmp_path: Path) -> None:
-    path = tmp_path / "bom.yaml"
-    path.write_text("title: x\n", encoding="utf-8-sig")
-    assert load_yaml_model(path, Whole).title == "x"
 
 
 def test_relative_paths_start_at_the_files_folder(tmp_path: Path) -> None:

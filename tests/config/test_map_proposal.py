@@ -76,23 +76,6 @@ def test_the_unit_of_the_time_is_what_its_name_says(name: str, unit: str) -> Non
     assert (found.keys["time"], found.keys["time_unit"], found.notes) == (name, unit, ())
 
 
-def test_a_time_whose_name_tells_no_unit_says_what_is_assumed_and_one_of_any_name_is_told_by_its_unit() -> None:
-    found = propose_map(["time", "T1 (degC)", "X [um]"], rows("0", "1", "2", fields=3))
-    assert found.notes == (
-        "'time' is taken to be in seconds, a row every 1 s; its name does not say so: where that is wrong, say "
-        "time_unit: min, h or d",
-    )
-    counted = propose_map(["Messung", "T1", "c1"], [["min", "°C", "mm"], ["0", "20", "0.1"], ["1", "21", "0.2"]])
-    assert counted.keys == {
-        "time": "Messung",
-        "time_unit": "min",
-        "temperatures": ["T1"],
-        "displacements": ["c1"],
-        "displacement_units": {"c1": "mm"},
-        "unit_row": True,
-    }
-
-
 def test_temperatures_in_fahrenheit_and_kelvin_say_so_and_rises_in_kelvin_are_rises() -> None:
     header = ["time_s", "Oil [°F]", "Air (K)", "Rise [K]", "dz [um]"]
     found = propose_map(header, [["0", "68", "293.1", "0.0", "0"], ["60", "70", "293.4", "0.4", "1"]])
@@ -100,12 +83,6 @@ def test_temperatures_in_fahrenheit_and_kelvin_say_so_and_rises_in_kelvin_are_ri
     assert found.keys["temperature_units"] == {"Oil [°F]": "degF", "Air (K)": "K"}
     counted = propose_map(["Time", "T1", "c1"], [["min", "F", "um"], ["0", "68", "0.1"], ["1", "70", "0.2"]])
     assert counted.keys["temperature_units"] == {"T1": "degF"}
-
-
-def test_a_numbered_temperature_that_rises_is_not_taken_for_the_time() -> None:
-    found = propose_map(["no", "T1", "T2", "X [um]"], rows("1", "2", "3", fields=4))
-    rising = propose_map(["T1", "T2", "X [um]"], rows("20", "21", "22", fields=3))
-    assert found.lacking == rising.lacking == ("time",) and rising.keys["temperatures"] == ["T1", "T2"]
 
 
 def test_a_displacement_in_millimetres_says_so_and_an_axis_position_is_none() -> None:
@@ -149,20 +126,6 @@ def test_japanese_names_and_empty_fields_at_the_end_are_understood() -> None:
     assert found.keys == expected | {"displacements": ["変位Z(μm)"]} and found.left_out == ()
 
 
-def test_dates_as_a_spreadsheet_counts_them_are_days() -> None:
-    rows = [["45992,3125", "20,5", "1"], ["45992,313194", "20,6", "2"], ["45992,313889", "20,7", "3"]]
-    found = propose_map(["Time", "T1 (degC)", "X [um]"], rows)
-    assert found.keys["time_unit"] == "d" and any("as spreadsheets count dates" in note for note in found.notes)
-
-
-def test_a_number_that_cannot_be_read_is_named_and_stands_for_nothing() -> None:
-    found = propose_map(
-        ["time [s]", "T1 (degC)", "X [um]"], [["0", "20", "1"], ["1", "20", "1.234,5"], ["2", "20", "3"]]
-    )
-    assert found.lacking == ("displacements",) and "missing" not in found.keys
-    assert found.notes[0].startswith("'X [um]' is left out: row 2 holds '1.234,5', which is no number")
-
-
 @pytest.mark.parametrize(
     ("name", "keys"),
     [
@@ -177,31 +140,6 @@ def test_a_number_that_cannot_be_read_is_named_and_stands_for_nothing() -> None:
 def test_the_unit_of_the_speed_is_said_and_what_does_not_turn_is_none(name: str, keys: dict[str, str]) -> None:
     found = propose_map(["t_s", name, "T1", "X_um"], rows("0", "1", fields=4)).keys
     assert {key: value for key, value in found.items() if key.startswith("speed")} == keys
-
-
-def test_of_several_speeds_the_spindle_s_is_taken() -> None:
-    found = propose_map(["t_s", "fan speed", "spindle speed", "T1", "X_um"], rows("0", "1", fields=5))
-    assert found.keys["speed"] == "spindle speed" and "2 columns may be" in found.notes[0]
-
-
-def test_inches_are_said_and_a_place_in_inches_asks() -> None:
-    found = propose_map(["t_s", "T1", "dz (in)", "Z (in)"], rows("0", "1", fields=4))
-    assert (found.keys["displacements"], found.keys["displacement_units"]) == (["dz (in)"], {"dz (in)": "in"})
-    assert found.keys["displacement_names"] == {"dz (in)": "dz"} and found.left_out == ("Z (in)",)
-    assert found.notes == (
-        "the unit of 'Z (in)' is in: a displacement (displacement_units: {'Z (in)': in}), or where an axis stands?",
-    )
-
-
-def test_a_letter_is_a_unit_in_brackets_alone() -> None:
-    found = propose_map(["t_s", "Temp A", "Temp B", "Temp W", "Temp (V)", "X_um"], rows("0", "1", fields=6))
-    assert found.keys["temperatures"] == ["Temp A", "Temp B", "Temp W"] and found.left_out == ("Temp (V)",)
-
-
-def test_columns_that_are_called_by_a_number_are_named_together() -> None:
-    header = ["t_s", "foo", *map(str, range(1, 301)), "X_um"]
-    text = propose_map(header, rows("0", "1", fields=303)).yaml()
-    assert "'foo', '1' to '300' (300 columns that are called by a number; \"[0-9]*\" names all of them)" in text
 
 
 @pytest.mark.parametrize(

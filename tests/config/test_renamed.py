@@ -6,11 +6,9 @@ from typing import Any
 import pytest
 import yaml
 
-from config.knobs import knob_at
 from config.loader import ConfigurationError, load_configuration, load_with_warnings
 from config.sample import sample_configuration
-from config.schema import Configuration
-from config.yaml_document import RENAMED, move_renamed_keys, read_yaml
+from config.yaml_document import move_renamed_keys, read_yaml
 
 
 def written(tmp_path: Path, **cnc: Any) -> Path:
@@ -78,17 +76,3 @@ def test_a_whole_section_moves_with_the_places_below_it_and_through_aliases() ->
     assert (warning.position, warning.path) == ((2, 3), ("x", "old"))
     assert document.keys[("y", "new", "a")] == (2, 9)
     assert ("x", "old") not in document.keys
-
-
-@pytest.mark.parametrize("text", ["cnc: 5\n", "cnc:\n  guard: [look_ahead_s]\n", "- a\n", "", "cnc: {opcua: }\n"])
-def test_a_file_of_another_shape_is_left_to_the_schema(text: str) -> None:
-    document = read_yaml(text)
-    before = read_yaml(text).value
-    assert move_renamed_keys(document, RENAMED) == []
-    assert document.value == before
-
-
-@pytest.mark.parametrize(("old", "new"), RENAMED.items())
-def test_the_new_name_is_a_key_and_the_old_one_is_none(old: str, new: str) -> None:
-    assert knob_at(Configuration, tuple(new.split("."))) is not None
-    assert knob_at(Configuration, tuple(old.split("."))) is None

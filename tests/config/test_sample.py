@@ -5,12 +5,10 @@ import re
 from pathlib import Path
 
 import jsonschema
-import pytest
 import yaml
 from click.testing import CliRunner
 from configuration_keys import walk
 
-from config.knobs import Shape, knob_at, section_at
 from config.loader import parse_yaml_model
 from config.machines import machine_names, shipped_file
 from config.sample import configuration_json_schema, sample_configuration
@@ -19,7 +17,6 @@ from config.schema.base import drivers_of
 from config.schema.cnc import CncConfig
 from config.schema.sinks import SinkConfig
 from config.schema.source_drivers import SourceConfig
-from config.schema.temperatures import LineConfig
 from daemon.cli import main
 
 NOT_IN_USE = re.compile(r"^(\s*)#(?! \S)(?=\s*\S)", re.MULTILINE)
@@ -80,22 +77,6 @@ def test_sample_shows_the_defaults() -> None:
             assert value == knob.default, path
 
 
-def test_every_key_that_is_not_in_use_has_an_example() -> None:
-    for path, knob in walk(Configuration):
-        if not knob.section and (knob.required or knob.default is None):
-            assert knob.examples, path
-
-
-def test_knobs_by_path() -> None:
-    assert section_at(Configuration, ("temperatures", "lines", 0)) is LineConfig
-    assert section_at(Configuration, ("temperatures", "lines")) is None
-    knob = knob_at(Configuration, ("compensation", "axes", "z", "tool_term"))
-    assert knob is not None
-    assert knob.shape is Shape.SECTION
-    assert not knob.required
-    assert knob_at(Configuration, ("nothing",)) is None
-
-
 def test_json_schema_accepts_what_the_loader_accepts() -> None:
     schema = configuration_json_schema()
     jsonschema.Draft202012Validator.check_schema(schema)
@@ -135,9 +116,3 @@ def test_an_existing_file_is_never_overwritten(tmp_path: Path) -> None:
     assert again.exit_code == 2
     assert "exists already" in again.output
     assert target.read_text() == "mine"
-
-
-def test_shipped_files_by_name_only() -> None:
-    for name in ("nothing.yaml", "../pyproject.toml", "schema/base.py"):
-        with pytest.raises(FileNotFoundError, match="ships with Toolpoint"):
-            shipped_file(name)

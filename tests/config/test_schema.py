@@ -8,10 +8,8 @@ import yaml
 
 from config.loader import ConfigurationError, load_with_warnings, parse_yaml_model
 from config.reference import configuration_reference
-from config.sample import configuration_json_schema, sample_configuration
+from config.sample import sample_configuration
 from config.schema import Configuration
-from config.schema.base import FORMS
-from config.schema.temperatures import expand_ranges
 from drivers.guard.programs import guard_program
 from drivers.guard.text import GuardTextError
 
@@ -28,7 +26,6 @@ def changed(path: str, value: Any) -> str:
 
 
 SENSOR = {"component": "Column"}
-LINE = {"name": "second", "port": "/dev/ttyUSB9", "chain": ["1-4"]}
 FILE = {"path": "x.csv", "header": "time"}
 BOX_SENSORS: list[dict[str, Any]] = [{"id": 9, "component": "Bed", "address": 0}]
 BOX: dict[str, Any] = {"name": "box", "driver": "modbus", "modbus": {"host": "x", "sensors": BOX_SENSORS}}
@@ -292,15 +289,6 @@ def test_tool_terms_that_cannot_work(change: dict[str, Any], key: str, sentence:
     assert sentence in problem.sentence
 
 
-def test_axes_and_macro_values_name_the_same_axes() -> None:
-    axis = {"absolute_bound_um": 1.0, "slew_um_per_min": 1.0, "step_um": 1.0}
-    with pytest.raises(ConfigurationError) as refused:
-        parse_yaml_model(changed("compensation.axes", {"y": axis}), Configuration, "f.yaml")
-    (problem,) = refused.value.problems
-    assert problem.key == "cnc.macros.values"
-    assert "['y'] and cnc.macros.values ['z'] must name the same axes" in problem.sentence
-
-
 def test_limits_that_move_the_machine_have_no_default() -> None:
     content = yaml.safe_load(sample_configuration())
     content["compensation"]["axes"]["z"] = {"estimate": "Z1"}
@@ -320,23 +308,6 @@ def test_a_block_without_a_check_is_told_with_what_to_add(tmp_path: Path) -> Non
     assert "no axis is enabled: name one within `cnc.macros.writable`" in warnings[0].sentence
     with pytest.raises(GuardTextError, match=r"cnc\.macros\.check names no variable"):
         guard_program(configuration)
-
-
-def test_every_pattern_is_put_in_words() -> None:
-    def patterns(node: Any) -> set[str]:
-        if isinstance(node, dict):
-            own = {node["pattern"]} if isinstance(node.get("pattern"), str) else set()
-            named = set(node.get("patternProperties", {}))
-            return own.union(named, *(patterns(value) for value in node.values()))
-        return set().union(*(patterns(item) for item in node)) if isinstance(node, list) else set()
-
-    found = patterns(configuration_json_schema())
-    assert found
-    assert found <= set(FORMS)
-
-
-def test_ranges() -> None:
-    assert expand_ranges([3, "7-9", 1]) == [3, 7, 8, 9, 1]
 
 
 def test_reference_page_names_every_section() -> None:
@@ -376,21 +347,6 @@ def test_a_range_that_is_none_is_refused_in_words(written: str, sentence: str) -
     with pytest.raises(ConfigurationError) as refused:
         parse_yaml_model(text, Configuration, "f.yaml")
     assert sentence in str(refused.value)
-
-
-def test_numbers_and_ranges_of_macros_may_be_written_without_quotes() -> None:
-    content = yaml.safe_load(sample_configuration())
-    content["cnc"]["macros"]["writable"] = [120, 121, "500-549"]
-    macros = parse_yaml_model(yaml.safe_dump(content), Configuration, "f.yaml").cnc.macros
-    assert macros.writable == ["120", "121", "500-549"]
-
-
-def test_an_editor_takes_ranges_and_numbers_too() -> None:
-    jsonschema = pytest.importorskip("jsonschema")
-    content = yaml.safe_load(sample_configuration())
-    content["cnc"]["macros"]["writable"] = [120, "500-549"]
-    content["temperatures"]["sensors"][0]["id"] = "1-3"
-    jsonschema.validate(content, configuration_json_schema())
 
 
 def test_the_step_of_a_sensor_is_that_of_its_device_its_register_or_what_sends_it_in_kelvin() -> None:

@@ -8,7 +8,6 @@ import pytest
 from config.loader import parse_yaml_model
 from config.machine.stability_case import DirectionCase, ModeCase, StabilityCase, UncertaintyCase, load_stability_case
 from config.schema.base import ConfigurationError
-from models.stability.cutting_coefficients import MATERIALS
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -46,12 +45,6 @@ def test_paths_start_at_the_files_folder(tmp_path: Path) -> None:
     assert isinstance(case.x, DirectionCase)
     assert case.x.frf == tmp_path / "sub" / "x.csv"
     assert case.feed_deg == 0.0
-
-
-def test_every_material_has_a_source() -> None:
-    for material in MATERIALS.values():
-        assert len(material.source) > 20
-        assert 0.0 < material.radial_ratio < 1.0
 
 
 PLAIN = "teeth: 4\ndiameter_mm: 10\nradial_depth_mm: 1\nmilling: down\nmaterial: a5052\nx: {modes: [{frequency_hz: 700,\

@@ -15,7 +15,6 @@ from small_model import model
 from whole_loop import MOMENT_S, WholeLoop
 
 from config.schema import Configuration
-from daemon.model_release.loading import model_from_text
 from models.control.state import OperatorRequest
 from models.records import CncRun, FloatArray, OutputState
 from models.thermal.family import ThermalModel
@@ -134,12 +133,6 @@ def test_where_nothing_follows_the_slope_the_offset_goes_on_without_a_step(
         assert loop.applied[-1] - before == pytest.approx([-0.5 * z1_um_per_k(second), 0.0], abs=ROUNDED_UM)
 
     played(tmp_path, first, play, slope=False)
-
-
-def test_a_model_without_the_slope_that_an_axis_follows_is_no_model_of_this_machine(tmp_path: Path) -> None:
-    wanted = [axis.estimate for axis in machine(tmp_path, slope=True).compensation.axes.values() if axis.estimate]
-    refused, why = model_from_text(WITHOUT.to_json().encode(), "new.json", WITHOUT.sensor_ids, wanted)
-    assert refused is None and why.startswith("new.json: the model has no channel 'Z1_per_m'; it has 'Y1', 'Z1': let ")
 
 
 def test_an_axis_whose_slope_no_model_tells_any_more_holds_and_goes_on_from_where_it_stood(tmp_path: Path) -> None:

@@ -66,6 +66,11 @@ def test_what_proves_nothing_is_refused_with_its_cause(readings, words):
     assert words in str(error.value) and "axis z" in str(error.value)
 
 
+def test_a_steady_drift_is_taken_out():
+    found = judge("z", 5.0, taken(10.0, 15.4, 10.8))
+    assert (found.sign, found.scale, found.measured_um) == (1, 1.0, 5.0)
+
+
 def test_a_scale_outside_every_machine_is_not_accepted_by_anybody():
     with pytest.raises(CommissioningRefusedError, match=r"25\.4"):
         judge("z", 5.0, taken(0.0, 127.0, 0.0), accept_scale=True)

@@ -186,14 +186,6 @@ async def test_a_vacant_echo_at_the_start_is_an_alarm_and_nothing_is_written(ben
         assert rig.state == "OFF" and rig.control.journal.alarm == ""
 
 
-async def test_power_off_clears_valid_until_and_that_is_no_fault(rig, bench):
-    await rig.active()
-    bench.nc.power_cycle()
-    for _ in range(5):
-        await rig.turn()
-    assert rig.state == "HOLD"
-
-
 async def test_enable_bits_that_nobody_here_has_set_are_a_fault(bench):
     bench.nc.macros.set(ENABLE, 4.0)
     async with running(bench.rig()) as rig:
@@ -418,14 +410,6 @@ async def test_every_reason_comes_back_after_a_restart_and_none_that_was_acknowl
         assert rig.control.journal.faults == () and rig.state != "FAULT"
 
 
-async def test_a_foreign_value_that_goes_on_changing_is_one_reason(rig, bench):
-    await rig.active()
-    for value in (0.002, 0.003, 0.0035, 0.004):
-        bench.nc.macros.set(Z, value)
-        await rig.turn()
-    assert len(rig.control.journal.faults) == 1 and len(await raised(rig)) == 1
-
-
 async def test_an_acknowledgement_leaves_what_is_still_wrong(rig, bench):
     await rig.active()
     bench.nc.macros.set(Z, 0.002)
@@ -453,15 +437,3 @@ async def test_an_acknowledgement_that_meets_a_lost_link_is_refused_in_words(rig
     await rig.connected()
     await rig.turn(safe=False)
     assert rig.state == "FAULT", "nobody has acknowledged what the control holds now"
-
-
-async def test_nothing_has_begun_while_the_beginning_meets_a_defect(bench, monkeypatch):
-    async with running(bench.rig()) as rig:
-        restart = rig.control._references.restart
-        monkeypatch.setattr(rig.control._references, "restart", lambda *_, **__: 1 / 0)
-        await rig.turn()
-        assert rig.control.memory is None
-        assert "not been reached yet" in rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
-        monkeypatch.setattr(rig.control._references, "restart", restart)
-        await rig.turn()
-        assert rig.control.memory is not None

@@ -166,15 +166,6 @@ async def test_a_reference_without_its_baseline_is_not_taken_up(bench):
         assert rig.applied["z"] == pytest.approx(10.0, abs=0.11)
 
 
-async def test_acknowledging_where_nothing_is_wrong_changes_nothing(rig):
-    await rig.active()
-    await rig.follow(0.0, -10.0, 10)
-    assert rig.control.request(ACKNOWLEDGE, "p") == ""
-    await rig.control._guarded(rig.control._act(None))  # before the next poll
-    await rig.follow(0.0, -10.0, 5)
-    assert rig.state == "ACTIVE"
-
-
 async def test_a_differing_read_back_is_acknowledged_before_the_next_poll(rig, bench):
     await rig.active()
     bench.nc.forgets = Z
@@ -274,18 +265,6 @@ async def test_an_axis_that_was_switched_off_stays_so_over_a_long_outage(bench):
         for _ in range(20):
             await rig.turn(rig.estimate(-19.0, 0.0))
         assert rig.applied["y"] <= before
-
-
-async def test_who_speaks_for_one_axis_lets_the_others_wait(bench):
-    await leave_with_y_off(bench)
-    async with running(bench.rig()) as rig:
-        await rig.turn()
-        rig.control.request(OperatorRequest(disable=frozenset({"y"})), "p")
-        await rig.turn()
-        rig.set_reference("r9")
-        for _ in range(10):
-            await rig.turn(rig.estimate(0.0, -17.0))
-        assert rig.state == "HOLD" and "toolpoint enable z" in rig.control.memory.reason
 
 
 async def test_a_cnc_that_is_reached_late_is_no_short_outage(bench):

@@ -3,9 +3,7 @@
 import asyncio
 import contextlib
 import os
-import socket
 import stat
-import time
 
 import pytest
 
@@ -91,26 +89,6 @@ def test_without_a_daemon_the_client_says_what_to_do(tmp_path):
         ControlClient(tmp_path / "nobody")
 
 
-async def test_an_open_conversation_does_not_hinder_the_end(tmp_path):
-    async def handle(request, person):
-        return {}
-
-    loop, complaints = asyncio.get_running_loop(), []
-    loop.set_exception_handler(lambda _, context: complaints.append(context))
-    task = asyncio.create_task(ControlSocket(tmp_path / "s", None, handle).run())
-    while not (tmp_path / "s").exists():
-        await asyncio.sleep(0.01)
-    client = await asyncio.to_thread(ControlClient, tmp_path / "s")
-    await asyncio.to_thread(client.ask, "status")
-    task.cancel()
-    await asyncio.gather(task, return_exceptions=True)
-    assert asyncio.all_tasks() == {asyncio.current_task()}, "no conversation is left to be cancelled"
-    with pytest.raises(DaemonUnreachableError):
-        await asyncio.to_thread(client.ask, "status")
-    client.close()
-    assert complaints == []
-
-
 async def test_a_socket_that_is_served_is_not_taken_away(tmp_path):
     async def handle(request, person):
         return {"first": True}
@@ -130,41 +108,3 @@ async def test_a_socket_that_is_served_is_not_taken_away(tmp_path):
 
     assert await serve(path, handle, work) == {"first": True}
     assert not path.exists()
-
-
-async def test_a_socket_that_a_dead_daemon_left_is_replaced(tmp_path):
-    async def handle(request, person):
-        return {}
-
-    path = tmp_path / "s"
-    with socket.socket(socket.AF_UNIX) as dead:
-        dead.bind(str(path))
-
-    def work():
-        for _ in range(500):
-            with contextlib.suppress(DaemonUnreachableError):
-                client = ControlClient(path)
-                answer = client.ask("status")
-                client.close()
-                return answer
-            time.sleep(0.01)
-        return None
-
-    assert await serve(path, handle, work) == {}
-
-
-async def test_only_its_own_file_is_removed_at_the_end(tmp_path):
-    async def handle(request, person):
-        return {}
-
-    path = tmp_path / "s"
-
-    def work():
-        client = ControlClient(path)
-        client.ask("status")  # it serves, so it knows which file is its own
-        client.close()
-        path.rename(tmp_path / "moved")  # keeps the inode in use, so that the next file has another one
-        path.touch()
-
-    await serve(path, handle, work)
-    assert path.exists()

@@ -20,12 +20,10 @@ from control_rig import (
 )
 from memory_cnc import MemoryNc
 
-from daemon.messages import ReferenceRebased, ReferenceRefused, ReferenceRequest
+from daemon.messages import ReferenceRebased, ReferenceRequest
 from drivers.clock import SystemClock
 from models.control.state import OperatorRequest
 from models.records import CncRun
-
-ACKNOWLEDGE = OperatorRequest(acknowledge=True)
 
 
 @pytest.fixture
@@ -162,15 +160,6 @@ async def test_zero_retreats_to_zero_and_not_to_the_baseline(rig):
     assert rig.state == "OFF"
 
 
-async def test_switched_on_and_off_within_one_turn_both_are_heard(rig):
-    await rig.turn()
-    rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
-    rig.control.request(OperatorRequest(disable=frozenset({"z"})), "p")
-    await rig.turn()
-    await rig.turn()
-    assert rig.control.memory.wanted == (False, False, False)
-
-
 async def test_setting_a_reference_does_not_move_the_output(rig, bench):
     await rig.active()
     await rig.follow(0.0, -15.0)
@@ -263,16 +252,6 @@ async def test_the_loop_polls_ticks_writes_and_survives_a_defect(tmp_path):
         finally:
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)
-
-
-async def test_what_is_delivered_waits_for_the_control_task_and_changes_nothing_in_the_stack_of_who_delivers(rig):
-    await rig.turn()
-    rig.set_reference()
-    notices = list(rig.control.journal.notices)
-    rig.control.deliver(ReferenceRefused(reference_id="another", why="made up"))
-    assert rig.control.reference is None and rig.control.journal.notices == notices
-    await rig.hear()
-    assert rig.control.reference is not None and rig.control.journal.notices[-1] == "made up"
 
 
 async def test_a_refusal_behind_a_reference_does_not_hide_that_the_echo_is_looked_at_first(rig):

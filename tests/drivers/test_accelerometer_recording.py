@@ -40,23 +40,6 @@ def test_wav_forms(tmp_path: Path, kind: int, bits: int, data: bytes) -> None:
     assert found.acceleration_m_s2 == pytest.approx(50.0 * SHARES, abs=50.0 * 2.0**-15)
 
 
-def test_extensible_and_stereo(tmp_path: Path) -> None:
-    two = np.stack((SHARES, -SHARES), axis=1).astype("<f4").tobytes()
-    extra = struct.pack("<HHI", 22, 32, 0) + struct.pack("<H", 3) + b"\0" * 14
-    found = read_acceleration(wav(tmp_path / "a.wav", 0xFFFE, 32, two, channels=2, extra=extra))
-    assert found.acceleration_m_s2 == pytest.approx(SHARES, abs=1e-6)
-
-
-def test_csv_with_rounded_times(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    rows = [f"{2.0 + i / 6400:.5f},{share:.6f}" for i, share in enumerate(SHARES)]
-    path.write_text("\n".join(["time_s,acceleration_m_s2", *rows]))
-    found = read_acceleration(path)
-    assert found.sample_rate_hz == pytest.approx(6400.0, rel=1e-3)
-    assert found.start_s == 2.0
-    assert len(found.acceleration_m_s2) == 500
-
-
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [

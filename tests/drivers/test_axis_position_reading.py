@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 from scripted_machine import ScriptedNc, cnc_config
 
-from config.schema.base import KeyProblems
 from config.schema.cnc import AxisPositionConfig
 from config.schema.cnc_drivers import FocasConfig, HaasConfig
 from drivers import registry
@@ -25,14 +24,6 @@ from drivers.sim.wires.cnc_face import cnc_server
 def axis(**changes: Any) -> AxisPositionConfig:
     given = {"axis": "Z", "travel_mm": (0.0, 500.0), "rapid_mm_per_min": 30_000.0}
     return AxisPositionConfig(**(given | changes))
-
-
-def test_an_axis_says_its_number_where_its_letter_does_not_and_its_travel_in_order() -> None:
-    assert (axis().place, axis(axis="W", number=7).place) == (3, 7)
-    turning = ({"axis": "C"}, {"axis": "B2", "number": 5})
-    for wrong in (*turning, {"axis": "W"}, {"travel_mm": (500.0, 0.0)}, {"travel_mm": (0.0, math.inf)}):
-        with pytest.raises((KeyProblems, ValueError)):
-            axis(**wrong)
 
 
 @contextlib.asynccontextmanager
@@ -71,12 +62,6 @@ def test_a_haas_says_its_unit_and_gives_no_position_while_it_does_not() -> None:
         state.judge(values)
         assert state.positions_mm(values)["Z_mm"] == pytest.approx(expected, nan_ok=True)
         assert (Capability.AXIS_POSITION in state.cannot) == math.isnan(expected)
-
-
-@pytest.mark.wires
-async def test_a_haas_is_not_asked_for_a_variable_that_it_does_not_have() -> None:
-    async with served("haas", {"W_mm": axis(axis="W", number=9)}) as (cnc, _):
-        assert "6 axes" in cnc.cannot[Capability.AXIS_POSITION]
 
 
 def test_focas_positions_are_of_the_machine_and_a_vacant_or_refused_one_is_none() -> None:

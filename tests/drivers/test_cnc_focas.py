@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import struct
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
@@ -14,7 +13,7 @@ from drivers.clock import SystemClock
 from drivers.contract import SIMULATED_CNC_IDENTITY, FatalDriverError, LinkError, NotSentError
 from drivers.focas.cnc import FocasCnc
 from drivers.focas.codec import Direction, Frame, FrameBuffer, Function, Kind, encode_frame
-from drivers.sim.wires.focas_server import SYSTEM, SimulatedFocasServer
+from drivers.sim.wires.focas_server import SimulatedFocasServer
 from models.records import CncMode, CncRun
 
 pytestmark = pytest.mark.wires
@@ -79,14 +78,6 @@ async def test_a_power_on_ends_the_link_and_is_another_number(control: Control) 
     after = await again.read([])
     assert after.power_on_count > before.power_on_count
     await again.close()
-
-
-async def test_a_clock_that_goes_back_ends_the_link(control: Control) -> None:
-    cnc = await control.connected()
-    control.nc._clock_s = 1.0
-    with pytest.raises(LinkError, match="late answer, or a program has set #3001"):
-        await cnc.read([])
-    await cnc.close()
 
 
 async def test_what_a_control_does_not_have_is_said_with_its_reason_and_no_number(control: Control) -> None:
@@ -156,14 +147,6 @@ async def test_a_sixth_session_is_told_what_to_end(control: Control) -> None:
     await control.server.stop()
     with pytest.raises(LinkError, match=r"refuses the connection: check cnc\.focas\.port"):
         await control.connected()
-
-
-async def test_an_unencrypted_connection_writes_only_where_it_is_allowed(control: Control) -> None:
-    cnc = await control.connected(allow_insecure_writes=False)
-    with pytest.raises(NotSentError, match=r"driver focas cannot encrypt; on a wire of its own, set cnc\.allow_insec"):
-        await cnc.write_macros(GROUPS)
-    assert control.nc.macros.written == []
-    await cnc.close()
 
 
 async def test_a_clock_that_stands_still_is_a_lost_link(control: Control) -> None:
@@ -241,18 +224,3 @@ async def test_an_answer_that_is_not_its_own_never_counts(control: Control, name
         with pytest.raises(LinkError):
             await cnc.read_macros([503])
         await cnc.close()
-
-
-async def test_a_doubled_acknowledgement_does_not_hide_what_was_refused(control: Control) -> None:
-    async with Disturber(control.server.port) as between:
-        cnc = FocasCnc(control.config(between.port, timeout_s=0.5), SystemClock())
-        await cnc.connect()
-        control.responder.refused_macros[505] = 7
-        between.change = lambda kept, answer: [answer, answer] if len(answer) == 28 else [answer]
-        with pytest.raises(LinkError):
-            await cnc.write_macros(GROUPS)
-        await cnc.close()
-
-
-def test_the_simulated_control_says_what_the_driver_knows_it_by() -> None:
-    assert len(SYSTEM) == 18 and struct.unpack(">4x2s2s4s4s2x", SYSTEM) == (b"TP", b"SM", b"TOOL", b"PNT0")

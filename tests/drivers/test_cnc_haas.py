@@ -58,17 +58,6 @@ async def test_a_poll_gives_what_the_control_shows(control: Control) -> None:
     await cnc.close()
 
 
-async def test_a_poll_over_midnight_is_no_power_cycle(control: Control) -> None:
-    cnc = await control.connected()
-    before = await cnc.read([])
-    control.nc._clock_s = (
-        86_100.0 - 0.0015
-    )  # its power-on was five minutes past midnight: date and time lie a look apart
-    over = [await cnc.read([]) for _ in range(3)]
-    assert [sample.power_on_count for sample in over] == [before.power_on_count] * 3
-    await cnc.close()
-
-
 async def test_what_the_other_connection_is_answered_never_counts(control: Control) -> None:
     cnc = await control.connected()
     reader, writer = await asyncio.open_connection("127.0.0.1", control.server.port)
@@ -122,17 +111,6 @@ async def test_state_and_macros_of_one_poll_belong_together(control: Control) ->
     sample = await cnc.read([500, 513])
     assert (sample.sequence_number, sample.macros[513]) == (100, 77.0)
     await cnc.close()
-
-
-async def test_a_third_connection_is_told_what_to_end(control: Control) -> None:
-    first, second = await control.connected(), await control.connected()
-    with pytest.raises(LinkError, match="a control takes two connections; end one of the others"):
-        await control.connected()
-    await first.close()
-    await second.close()
-    await control.server.stop()
-    with pytest.raises(LinkError, match=r"check cnc\.haas\.port, which is setting 143"):
-        await control.connected()
 
 
 @pytest.mark.parametrize("spaced", [True, False])
@@ -201,20 +179,4 @@ async def test_a_power_on_ends_the_link_and_a_clock_that_goes_back_too(control: 
     await cnc.close()
     cnc = await control.connected()
     assert (await cnc.read([])).power_on_count > before.power_on_count
-    await cnc.close()
-
-
-async def test_an_unencrypted_connection_writes_only_where_it_is_allowed(control: Control) -> None:
-    cnc = await control.connected(allow_insecure_writes=False)
-    with pytest.raises(NotSentError, match=r"driver haas cannot encrypt; on a wire of its own, set cnc\.allow_insec"):
-        await cnc.write_macros(GROUPS)
-    assert control.nc.macros.written == []
-    await cnc.close()
-
-
-async def test_the_first_line_may_be_swallowed(control: Control) -> None:
-    answer, first = control.responder.answer, [b""]
-    control.responder.answer = lambda line: first.pop() if first else answer(line)  # type: ignore[method-assign]
-    cnc = await control.connected()
-    assert cnc.identity == SIMULATED_CNC_IDENTITY
     await cnc.close()

@@ -14,7 +14,7 @@ from scripted_machine import cnc_config
 
 from drivers.clock import SystemClock
 from drivers.contract import Cnc, FatalDriverError, LinkError, NotSentError
-from drivers.linuxcnc.cnc import LinuxcncCnc, number_of_path
+from drivers.linuxcnc.cnc import LinuxcncCnc
 from drivers.linuxcnc_pins import VACANT, Pins
 from models.records import CncMode, CncRun
 
@@ -123,20 +123,6 @@ async def test_a_subroutine_in_a_file_of_its_own_is_no_other_program(bench: Linu
     await cnc.close()
 
 
-async def test_another_file_of_the_same_name_shows_once_as_another_program(bench: LinuxcncBench) -> None:
-    part, other = (bench.linuxcnc.directory / folder / "o1000.ngc" for folder in ("", "other"))
-    other.parent.mkdir()
-    cnc = await connected(bench)
-    await bench.linuxcnc.switch_on()
-    seen = []
-    for path in (part, other, part):
-        path.write_text("G21 G90 G54\nM2\n", encoding="ascii")
-        await bench.linuxcnc.do(["mode", "MODE_AUTO"], ["wait"], ["program_open", str(path)], ["wait"])
-        seen.append([(await cnc.read([])).program for _ in range(3)])
-    assert seen == [[1000] * 3, [number_of_path(str(other)), 1000, 1000], [number_of_path(str(part)), 1000, 1000]]
-    await cnc.close()
-
-
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
 async def test_it_does_what_the_daemon_relies_on(bench: LinuxcncBench, check: Check) -> None:
     await check(bench)
@@ -160,11 +146,3 @@ async def test_another_start_is_another_power_on_and_a_bridge_that_hangs_is_a_lo
     none = LinuxcncCnc(section(linuxcnc={"command": ["/nowhere/python3"]}), SystemClock())
     with pytest.raises(FatalDriverError, match=r"cnc\.linuxcnc\.command: /nowhere/python3 cannot be started"):
         await none.connect()
-
-
-async def test_twenty_connections_leave_nothing_behind(bench: LinuxcncBench) -> None:
-    for _ in range(20):
-        cnc = await connected(bench)
-        await cnc.close()
-    assert len(asyncio.all_tasks()) <= 2
-    bench.linuxcnc.halcmd("show", "comp")

@@ -1,13 +1,12 @@
 """The CNC driver against a simulated CNC in this process: what it reads, writes and refuses."""
 
-import asyncio
 import math
 from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
 import pytest_asyncio
-from scripted_machine import GROUPS, NAMESPACE, SERVER_URI, Keys, ScriptedNc, cnc_config
+from scripted_machine import GROUPS, Keys, ScriptedNc, cnc_config
 
 from config.schema.cnc_drivers import OpcUaNodesConfig
 from drivers.clock import SystemClock
@@ -71,11 +70,6 @@ async def test_one_read_gives_state_and_macros(cnc: OpcUaCnc, nc: ScriptedNc) ->
     assert sample.macros == {501: 0.0125, 502: None, 510: -0.25}
 
 
-async def test_identity_is_the_servers_application_uri(cnc: OpcUaCnc) -> None:
-    assert cnc.identity == SERVER_URI
-    assert cnc.security == "insecure"
-
-
 @pytest.mark.parametrize(
     ("mode", "run", "expected"),
     [
@@ -94,22 +88,6 @@ async def test_codes_become_words_and_unknown_codes_stay_unknown(
     nc.mode, nc.run = mode, run
     sample = await cnc.read([])
     assert (sample.mode, sample.run) == expected
-
-
-async def test_vacant_and_nan_macros_are_none(cnc: OpcUaCnc, nc: ScriptedNc) -> None:
-    nc.macros.values.update({500: None, 501: math.nan, 502: 0.0})
-    assert await cnc.read_macros([502, 500, 501]) == {502: 0.0, 500: None, 501: None}
-
-
-async def test_missing_measurement_is_nan(cnc: OpcUaCnc, nc: ScriptedNc) -> None:
-    nc.motor_temperature_degc = math.nan
-    assert math.isnan((await cnc.read([])).motor_temperature_degc)
-
-
-async def test_groups_arrive_in_their_order(cnc: OpcUaCnc, nc: ScriptedNc) -> None:
-    await cnc.write_macros(GROUPS)
-    assert nc.macros.written == [pair for group in GROUPS for pair in group]
-    assert await cnc.read_macros([503, 505]) == {503: 0.0105, 505: 1.0}
 
 
 async def test_nothing_follows_a_refused_group(cnc: OpcUaCnc, nc: ScriptedNc) -> None:
@@ -185,36 +163,6 @@ async def test_the_secure_channel_is_renewed_between_reads(server: SimulatedCncS
     await cnc.close()
 
 
-async def test_close_leaves_nothing_behind_and_can_be_repeated(server: SimulatedCncServer, nc: ScriptedNc) -> None:
-    cnc = OpcUaCnc(cnc_config(server.endpoint), SystemClock())
-    await cnc.close()
-    await cnc.connect()
-    before = asyncio.all_tasks()
-    await cnc.close()
-    await cnc.close()
-    assert asyncio.all_tasks() <= before
-    with pytest.raises(LinkError, match="not connected"):
-        await cnc.read([])
-    with pytest.raises(LinkError, match="build a new one"):
-        await cnc.connect()
-
-
-async def test_a_used_driver_holds_no_task(server: SimulatedCncServer, nc: ScriptedNc) -> None:
-    mine = {task for task in asyncio.all_tasks() if "asyncua" not in repr(task.get_coro())}
-    cnc = OpcUaCnc(cnc_config(server.endpoint), SystemClock())
-    await cnc.connect()
-    await cnc.read([501])
-    client_tasks = {t for t in asyncio.all_tasks() - mine if "asyncua/client" in repr(t) or "cnc_opcua" in repr(t)}
-    assert client_tasks == set()
-    await cnc.close()
-
-
-async def test_unknown_namespace_is_fatal_and_names_those_that_exist(server: SimulatedCncServer) -> None:
-    cnc = OpcUaCnc(cnc_config(server.endpoint, namespace_uri="urn:another"), SystemClock())
-    with pytest.raises(FatalDriverError, match=rf"'urn:another'.*{NAMESPACE}"):
-        await cnc.connect()
-
-
 @pytest.mark.parametrize(
     ("nodes", "message"),
     [
@@ -229,76 +177,6 @@ async def test_wrong_node_identifiers_are_fatal_and_named(
     cnc = OpcUaCnc(cnc_config(server.endpoint, nodes=OpcUaNodesConfig(**nodes)), SystemClock())
     with pytest.raises(FatalDriverError, match=message):
         await cnc.connect()
-
-
-async def test_nobody_listening_is_a_lost_link() -> None:
-    listener = await asyncio.start_server(lambda *_: None, "127.0.0.1", 0)
-    port = listener.sockets[0].getsockname()[1]
-    listener.close()
-    await listener.wait_closed()
-    cnc = OpcUaCnc(cnc_config(f"opc.tcp://127.0.0.1:{port}/cnc"), SystemClock())
-    with pytest.raises(LinkError, match="was lost while connecting"):
-        await cnc.connect()
-    await cnc.close()
-
-
-async def test_a_server_that_never_answers_is_a_lost_link() -> None:
-    done = asyncio.Event()
-
-    async def listen(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        await done.wait()
-        writer.close()
-
-    listener = await asyncio.start_server(listen, "127.0.0.1", 0)
-    before = asyncio.all_tasks()
-    port = listener.sockets[0].getsockname()[1]
-    cnc = OpcUaCnc(cnc_config(f"opc.tcp://127.0.0.1:{port}/cnc", timeout_s=0.3), SystemClock())
-    with pytest.raises(LinkError, match=r"did not answer within 0\.3 s while connecting"):
-        await cnc.connect()
-    await cnc.close()
-    done.set()
-    listener.close()
-    await listener.wait_closed()
-    assert {t for t in asyncio.all_tasks() - before if "listen" not in repr(t)} == set()
-
-
-async def test_a_call_that_ends_in_the_instant_it_is_given_up_is_a_lost_link() -> None:
-    """The library then raises its own kind of cancellation, which must not end the task that waits."""
-
-    class LibrarysOwnCancelledError(asyncio.CancelledError):
-        pass
-
-    async def answered_too_late() -> None:
-        try:
-            await asyncio.sleep(60.0)
-        except asyncio.CancelledError:
-            raise LibrarysOwnCancelledError from None
-
-    cnc = OpcUaCnc(cnc_config(timeout_s=0.05), SystemClock())
-    with pytest.raises(LinkError, match=r"did not answer within 0\.05 s while reading"):
-        await cnc._call("reading", answered_too_late())
-
-
-async def test_cancelled_connect_leaves_nothing_behind() -> None:
-    done = asyncio.Event()
-
-    async def listen(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        await done.wait()
-        writer.close()
-
-    listener = await asyncio.start_server(listen, "127.0.0.1", 0)
-    port = listener.sockets[0].getsockname()[1]
-    cnc = OpcUaCnc(cnc_config(f"opc.tcp://127.0.0.1:{port}/cnc"), SystemClock())
-    connecting = asyncio.create_task(cnc.connect())
-    await asyncio.sleep(0.05)
-    connecting.cancel()
-    with pytest.raises(asyncio.CancelledError):
-        await connecting
-    done.set()
-    listener.close()
-    await listener.wait_closed()
-    await asyncio.sleep(0)
-    assert all("asyncua/client" not in repr(task) for task in asyncio.all_tasks())
 
 
 async def test_a_server_without_encryption_is_fatal_when_encryption_is_configured(

@@ -74,18 +74,3 @@ async def test_frozen_cnc_ends_every_call_until_it_thaws_and_its_death_ends_a_wa
     with pytest.raises(LinkError, match="while writing macro variables"):
         await write
     await cnc.close()
-
-
-async def test_killed_cnc_is_a_lost_link_and_then_refuses(serving: ServingProcess) -> None:
-    cnc = OpcUaCnc(cnc_config(serving.endpoint), SystemClock())
-    await cnc.connect()
-    serving.process.kill()
-    serving.process.wait()
-    with pytest.raises(LinkError):
-        await cnc.read([])
-    with pytest.raises(LinkError, match="not connected"):
-        await cnc.read_macros([500])
-    await cnc.close()
-    assert asyncio.all_tasks() == {asyncio.current_task()}
-    with pytest.raises(LinkError, match="was lost while connecting"):
-        await OpcUaCnc(cnc_config(serving.endpoint), SystemClock()).connect()

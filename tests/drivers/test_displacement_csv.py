@@ -64,12 +64,6 @@ async def test_japanese_logger_with_metadata_units_and_two_time_columns(path: Pa
     assert follower.samples[0].source == f"{path}:6"
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
-async def test_byte_order_mark(path: Path, encoding: str) -> None:
-    path.write_bytes(b"\xef\xbb\xbf" + (HEADER + row(0)).encode())
-    assert (await read_all(config(path, encoding=encoding), 1))[1] == [[1.5, -2.25]]
-
-
 @pytest.mark.parametrize(("unit", "scale_um", "read"), [("mm", -1.0, None), ("um", 1000.0, None), ("V", 1.0, 1.5)])
 async def test_a_row_of_units_that_says_another_unit_is_not_read_over(
     path: Path, unit: str, scale_um: float, read: float | None
@@ -84,26 +78,11 @@ async def test_a_row_of_units_that_says_another_unit_is_not_read_over(
     assert f"logger.csv:2:2: the row of units says {unit} where Y is read in" in str(follower.source.last_problem)
 
 
-async def test_a_logger_of_windows_writes_its_own_latin(path: Path) -> None:
-    path.write_bytes("time,Weg – Y [µm],Z1\n2026-01-31T08:00:00,1.5,-2.25\n".encode("cp1252"))
-    channels = [{"name": "Y", "column": "Weg – Y [µm]"}, {"name": "Z", "column": "Z1"}]
-    assert (await read_all(config(path, encoding="cp1252", channels=channels), 1))[1] == [[1.5, -2.25]]
-
-
 async def test_decimal_comma(path: Path) -> None:
     path.write_text("time;Y1;Z1\n2026-01-31T08:00:00;1,5;-,25\n2026-01-31T08:01:00;1.5;2\n")
     follower, values = await read_all(config(path, delimiter=";", decimal=","), 2, problems=1)
     assert values == [[1.5, -0.25], [None, 2.0]]
     assert follower.source.last_problem == f"{path}:3:2: '1.5' is no number for Y; it is left out"
-
-
-async def test_quoted_fields(path: Path) -> None:
-    path.write_text('"time","Y1","Z1, nose"\n"2026-01-31T08:00:00","1.5"," -2.25 "\n')
-    channels = [{"name": "Y", "column": "Y1"}, {"name": "Z", "column": "Z1, nose"}]
-    for header in ("time", '"time"'):
-        assert (await read_all(config(path, header=header, channels=channels), 1))[1] == [[1.5, -2.25]]
-    path.write_text('time\tY1\tZ1\n"2026-01-31T08:00:00"\t"1,5"\t" -2,25 "\n')
-    assert (await read_all(config(path, decimal=",", delimiter="\t"), 1))[1] == [[1.5, -2.25]]
 
 
 async def test_overflow_empty_and_unreadable_fields(path: Path) -> None:
@@ -117,14 +96,6 @@ async def test_overflow_empty_and_unreadable_fields(path: Path) -> None:
     assert reasons[2] == [Reason.UNREADABLE, Reason.UNREADABLE]
 
 
-async def test_no_header_and_seconds_since_1970(path: Path) -> None:
-    path.write_text(f"{T0:.3f},9,1\n{T0 + 60:.3f},9,2\n")
-    channels = [{"name": "Z", "column": 3}]
-    follower, values = await read_all(config(path, header=None, channels=channels, time_format="%s"), 2)
-    assert values == [[1.0], [2.0]]
-    assert minutes(follower.samples) == [0, 1]
-
-
 async def test_files_without_time_columns(path: Path) -> None:
     path.write_text("Y1,Z1\n1,2\n\n3,bad\n5,6\n")
     follower, values = await read_all(
@@ -134,12 +105,6 @@ async def test_files_without_time_columns(path: Path) -> None:
     assert minutes(follower.samples) == [0, 0.5, 1]
 
 
-async def test_a_start_with_its_own_offset(path: Path) -> None:
-    path.write_text("Y1,Z1\n1,2\n")
-    follower, _ = await read_all(config(path, header="Y1", start="2026-01-31T09:00:00+01:00", interval_s=60.0), 1)
-    assert minutes(follower.samples) == [0]
-
-
 async def test_the_hour_that_comes_twice(path: Path) -> None:
     # In Berlin on 2026-10-25 the clock went from 03:00 CEST back to 02:00 CET.
     stamps = ["01:30", "02:00", "02:30", "02:00", "02:30", "03:00"]
@@ -147,11 +112,6 @@ async def test_the_hour_that_comes_twice(path: Path) -> None:
     follower, _ = await read_all(config(path, time_zone="Europe/Berlin"), 6)
     utc_s = [sample.utc_s for sample in follower.samples]
     assert [b - a for a, b in pairwise(utc_s)] == [1800.0] * 5
-
-
-async def test_a_header_repeated_by_a_restarted_logger_may_order_columns_anew(path: Path) -> None:
-    path.write_text(HEADER + row(0) + "time,Z1,Y1\n" + row(1))
-    assert (await read_all(config(path), 2))[1] == [[1.5, -2.25], [-2.25, 1.5]]
 
 
 # Bad rows
@@ -167,11 +127,6 @@ async def test_bad_rows_are_reported_with_their_place_and_skipped(path: Path) ->
     follower, _ = await read_all(config(path), 1, problems=1)
     assert follower.source.last_problem is not None
     assert f"{path}:2:2: this row has 2 fields where 3 are expected" in follower.source.last_problem
-
-
-async def test_undecodable_bytes_cost_only_their_field(path: Path) -> None:
-    path.write_bytes(HEADER.encode() + row(0).encode() + b"2026-01-31T08:01:00,\xff\xfe,7\n" + row(2).encode())
-    assert (await read_all(config(path), 3, problems=1))[1] == [[1.5, -2.25], [None, 7.0], [1.5, -2.25]]
 
 
 async def test_overlong_lines_are_skipped_whole_or_in_pieces(path: Path) -> None:

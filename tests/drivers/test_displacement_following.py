@@ -4,15 +4,13 @@ import asyncio
 import errno
 import os
 import threading
-import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
 from displacement_file import HEADER, PATIENCE_S, T0, Follower, append, config, minutes, row
-from left_behind import descriptors
 
-from drivers.clock import ScaledClock, SystemClock
+from drivers.clock import SystemClock
 from drivers.contract import DisplacementSource, LinkError
 from drivers.displacement import source as displacement_csv
 from drivers.displacement.source import DisplacementCsvSource
@@ -75,45 +73,11 @@ async def test_a_replaced_file_of_any_size_is_noticed(path: Path, tmp_path: Path
     assert minutes(follower.samples) == list(range(15))
 
 
-async def test_a_file_that_is_written_anew_with_one_row_more_is_only_read_on(path: Path, tmp_path: Path) -> None:
-    append(path, HEADER + row(0))
-    async with Follower(config(path)) as follower:
-        for count in range(1, 6):
-            await follower.until(count)
-            (tmp_path / "new").write_text(HEADER + "".join(row(minute) for minute in range(count + 1)))
-            (tmp_path / "new").replace(path)
-        await follower.until(6)
-        await follower.settle()
-    assert minutes(follower.samples) == list(range(6))
-
-
-async def test_the_old_file_is_finished_before_the_newest(tmp_path: Path) -> None:
-    append(tmp_path / "a.csv", HEADER + row(0))
-    async with Follower(config(tmp_path / "*.csv")) as follower:
-        await follower.until(1)
-        append(tmp_path / "b.new", HEADER + row(2))
-        os.utime(tmp_path / "b.new", (time.time() + 5, time.time() + 5))
-        append(tmp_path / "a.csv", row(1))
-        (tmp_path / "b.new").rename(tmp_path / "b.csv")
-        await follower.until(3)
-        append(tmp_path / "b.csv", row(3))
-        await follower.until(4)
-    assert minutes(follower.samples) == [0, 1, 2, 3]
-    assert follower.samples[-1].source == f"{tmp_path / 'b.csv'}:3"
-
-
 def old_files(folder: Path, count: int) -> None:
     for number in range(count):
         file = folder / f"day{number:03}.csv"
         file.write_text(HEADER + row(2 * number) + row(2 * number + 1))
         os.utime(file, (T0 + number, T0 + number))
-
-
-async def test_only_the_newest_of_old_files_is_read_at_first(tmp_path: Path) -> None:
-    old_files(tmp_path, 4)
-    async with Follower(config(tmp_path / "*.csv")) as follower:
-        await follower.until(2)
-        assert minutes(await follower.settle()) == [6, 7]
 
 
 async def test_after_a_restart_missed_rows_of_older_files_are_read(tmp_path: Path) -> None:
@@ -131,17 +95,6 @@ async def test_rows_up_to_the_last_known_are_skipped(path: Path) -> None:
         await follower.settle()
     assert minutes(follower.samples) == [7, 8, 9]
     assert follower.source.problems == 0
-
-
-async def test_a_file_without_times_that_began_anew_is_not_guessed_at(path: Path) -> None:
-    path.write_text("Y1,Z1\n1,2\n3,4\n")
-    async with Follower(config(path, header="Y1", start="2026-01-31T08:00:00", interval_s=60.0)) as follower:
-        await follower.until(2)
-        path.write_text("Y1,Z1\n5,6\n")
-        await follower.until(problems=1)
-        assert len(await follower.settle()) == 2
-        assert follower.source.last_problem is not None
-        assert "began anew" in follower.source.last_problem
 
 
 # Files that cannot be read
@@ -191,15 +144,6 @@ async def failing(source: DisplacementSource) -> AsyncIterator[DisplacementSampl
             yield sample
 
 
-async def test_a_file_that_stays_away_is_a_lost_link(path: Path) -> None:
-    source = contract(DisplacementCsvSource(config(path), SystemClock()))
-    with pytest.raises(LinkError, match=f"displacement file {path}: .*No such file.*\\(24 looks .*mounted"):
-        _ = [sample async for sample in failing(source)]
-    pattern = path.parent / "*.csv"
-    with pytest.raises(LinkError, match="no file matches the pattern"):
-        _ = [sample async for sample in failing(DisplacementCsvSource(config(pattern), SystemClock()))]
-
-
 async def test_a_header_that_does_not_fit_is_a_lost_link_that_names_the_columns(path: Path) -> None:
     path.write_text("time,Y1,Z9,Z9\n" + row(0))
     with pytest.raises(LinkError, match=f"{path}:1: the header has no column 'Z1'; it has 'time', 'Y1', 'Z9', 'Z9'"):
@@ -212,29 +156,7 @@ async def test_a_header_that_does_not_fit_is_a_lost_link_that_names_the_columns(
         _ = [sample async for sample in failing(DisplacementCsvSource(config(path), SystemClock()))]
 
 
-async def test_an_unfit_file_is_left_when_a_newer_one_fits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(displacement_csv, "UNREACHABLE_LOOKS", 100_000)
-    append(tmp_path / "a.csv", "time,other\n" + row(0))
-    async with Follower(config(tmp_path / "*.csv")) as follower:
-        await follower.until(problems=1)
-        append(tmp_path / "b.csv", HEADER + row(1))
-        await follower.until(1)
-    assert minutes(follower.samples) == [1]
-
-
 # The source as a whole
-
-
-async def test_no_file_is_open_between_looks_and_nothing_is_left_behind(path: Path) -> None:
-    append(path, HEADER + row(0))
-    others = set(threading.enumerate())
-    async with Follower(config(path, poll_period_s=3600.0)) as follower:
-        await follower.until(1)
-        await follower.settle()
-        assert str(path) not in descriptors().values()
-        await follower.source.close()
-        await follower.source.close()
-    assert not [one for one in threading.enumerate() if one.name == "displacement-files" and one not in others]
 
 
 async def test_a_share_that_hangs_is_reported_and_does_not_stop_anything(
@@ -255,15 +177,3 @@ async def test_a_share_that_hangs_is_reported_and_does_not_stop_anything(
         assert "no answer for 0.05 s" in (follower.source.last_problem or "")
         released.set()
         await follower.until(1)
-
-
-async def test_the_poll_period_is_time_of_the_given_clock(path: Path) -> None:
-    append(path, HEADER + row(0))
-    clock = ScaledClock(epoch_real_s=time.monotonic(), epoch_utc_s=T0, speed=600.0)
-    source = DisplacementCsvSource(config(path, poll_period_s=30.0), clock)
-    samples = source.samples()
-    async with asyncio.timeout(PATIENCE_S):
-        assert (await anext(samples)).utc_s == T0
-        append(path, row(1))
-        assert (await anext(samples)).utc_s == T0 + 60
-    await source.close()

@@ -1,6 +1,5 @@
 """FOCAS2 bytes: frames of the published layout, values with their decimals, and anything else refused."""
 
-import itertools
 import struct
 
 import pytest
@@ -23,7 +22,6 @@ from drivers.focas.codec import (
     parse_answers,
     parse_asks,
     parse_values,
-    runs_of,
 )
 from drivers.focas.requests import write_asks
 from drivers.power_on import CalendarError, power_on_count, power_on_utc_s
@@ -51,12 +49,6 @@ def test_a_stream_is_cut_into_its_frames_wherever_it_breaks(sizes: list[int]) ->
     assert not buffer.unfinished
 
 
-@pytest.mark.parametrize("data", [b"\0", b"\xa0\xa0\xa1", b"HTTP/1.1 200 OK"])
-def test_what_begins_otherwise_is_refused_at_once(data: bytes) -> None:
-    with pytest.raises(FocasFormatError, match="begins with A0A0A0A0"):
-        list(FrameBuffer().feed(data))
-
-
 @given(VALUES)
 def test_values_keep_nine_decimals_or_nine_digits(value: float | None) -> None:
     (found,) = parse_values(encode_value(value), 1)
@@ -64,18 +56,6 @@ def test_values_keep_nine_decimals_or_nine_digits(value: float | None) -> None:
         assert found is value
     else:
         assert abs(found - value) <= max(1e-9, abs(value) * 2.4e-9)
-
-
-def test_both_bases_are_read_and_what_is_no_value_is_refused() -> None:
-    assert parse_values(struct.pack(">iHh", 3 << 28, 2, 30), 1) == [0.75]
-    assert parse_values(struct.pack(">iHh", 19762, 10, 2), 1) == [197.62]
-    for base, exponent in ((3, 1), (10, -2), (10, 19), (2, 63), (0, 0)):
-        with pytest.raises(FocasFormatError, match="a value of"):
-            parse_values(struct.pack(">iHh", 1, base, exponent), 1)
-    with pytest.raises(FocasFormatError, match="2 values take 16 bytes"):
-        parse_values(bytes(15), 2)
-    with pytest.raises(OverflowError, match="more digits"):
-        encode_value(3e9)
 
 
 def test_an_answer_counts_only_for_what_was_asked_for() -> None:
@@ -97,14 +77,6 @@ def test_any_bytes_are_blocks_or_refused(data: bytes, count: int) -> None:
             parse(data)
         except FocasFormatError as error:
             assert str(error)
-
-
-@given(st.lists(st.integers(1, 60)), st.integers(1, 7))
-def test_runs_hold_every_number_once_and_neighbours_together(numbers: list[int], longest: int) -> None:
-    runs = list(runs_of(numbers, longest))
-    assert [number for run in runs for number in run] == sorted(set(numbers))
-    assert all(1 <= len(run) <= longest for run in runs)
-    assert all(a[-1] + 1 < b.start or len(a) == longest for a, b in itertools.pairwise(runs))
 
 
 def test_a_group_is_written_as_doubles_or_one_by_one() -> None:

@@ -1,16 +1,14 @@
 """FANUC's own library behind the FOCAS driver: a stand-in with its published signatures, in a process of its own."""
 
-import asyncio
 import shutil
 import subprocess
-import sys
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import pytest_asyncio
-from cnc_contract import CHECKS, IMPATIENT_S, Check, connected, reconnecting_leaves_nothing_behind
+from cnc_contract import CHECKS, IMPATIENT_S, Check, connected
 from scripted_machine import cnc_config
 
 from drivers.clock import SystemClock
@@ -115,10 +113,3 @@ async def test_what_is_no_such_library_is_named(
     with pytest.raises(FatalDriverError, match=rf"cnc\.focas\.library: .*{words}"):
         await cnc.connect()
     await cnc.close()
-
-
-async def test_connections_leave_nothing_behind_and_the_daemon_never_loads_the_library(bench: LibraryBench) -> None:
-    await reconnecting_leaves_nothing_behind(bench, 20)
-    assert len(asyncio.all_tasks()) <= 2
-    assert str(bench.library) not in Path("/proc/self/maps").read_text()
-    assert "drivers.focas.library_bridge" not in sys.modules

@@ -12,7 +12,6 @@ from drivers.files.frf_measurement import MeasurementFileError, read_measurement
 FREQUENCY_HZ = np.linspace(0.0, 2000.0, 41)
 OMEGA = 2 * np.pi * FREQUENCY_HZ
 RECEPTANCE = 1e-7 / (1 - (FREQUENCY_HZ / 1000) ** 2 + 0.05j)
-UNITS = {"m": 1.0, "mm": 1e3, "um": 1e6}
 
 
 def function(data: Any, **changes: Any) -> dict[str, Any]:
@@ -52,21 +51,6 @@ def test_kinds_and_units_of_universal_files(tmp_path: Path, kind: int, data: Any
     assert found.coherence is None
 
 
-def test_several_responses_and_their_coherence(tmp_path: Path) -> None:
-    coherence = np.linspace(0.5, 1.0, 41)
-    path = universal(
-        tmp_path / "m.uff",
-        function(RECEPTANCE),
-        function(2 * RECEPTANCE, rsp_node=7),
-        function(coherence, func_type=6, rsp_node=7),
-    )
-    first, second = read_measurements(path)
-    assert second.receptance_m_per_n == pytest.approx(2 * first.receptance_m_per_n)
-    assert first.coherence is None
-    assert second.coherence == pytest.approx(coherence[1:], abs=1e-5)
-    assert len(second.coherent(0.9).frequency_hz) < 12
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -80,21 +64,6 @@ def test_unfit_universal_files_are_refused(tmp_path: Path, changes: dict[str, An
     data = np.abs(RECEPTANCE) if changes.get("func_type") == 6 else RECEPTANCE
     with pytest.raises(MeasurementFileError, match=words):
         read_measurements(universal(tmp_path / "m.uff", function(data, **changes)))
-
-
-def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "m.unv"
-    with pytest.raises(MeasurementFileError, match="no such file"):
-        read_measurements(path)
-    path.write_text("nothing of the kind\n")
-    with pytest.raises(MeasurementFileError, match=r"m\.unv: "):
-        read_measurements(path)
-    with pytest.raises(MeasurementFileError, match="cannot be opened"):
-        read_measurements(tmp_path / "m.csv")
-    binary = tmp_path / "b.csv"
-    binary.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(MeasurementFileError, match="is not UTF-8 text"):
-        read_measurements(binary)
 
 
 def test_csv_with_coherence_other_columns_and_semicolons(tmp_path: Path) -> None:

@@ -62,23 +62,6 @@ def test_an_offset_changed_in_the_middle_of_the_guard_is_never_written_over() ->
     assert seen == {GuardStatus.APPLIED, GuardStatus.UNSETTLED}
 
 
-def test_called_twice_it_adds_once(bench: GuardBench) -> None:
-    bench.write(x=2.0, y=2.0, z=2.0)
-    bench.call()
-    before = list(bench.nc.control.external_mm)
-    assert bench.call(later_s=1.0) is GuardStatus.APPLIED
-    assert bench.nc.control.external_mm == before
-
-
-def test_after_twenty_minutes_without_a_call_it_still_moves_by_one_step(bench: GuardBench) -> None:
-    bench.write(z=3.0)
-    bench.call()
-    bench.clock_s += 1200.0
-    bench.write(z=75.0)
-    assert bench.call() is GuardStatus.APPLIED
-    assert bench.applied_um["z"] == pytest.approx(13.0)
-
-
 def test_after_twenty_minutes_without_a_call_an_old_block_has_expired(bench: GuardBench) -> None:
     bench.write(z=3.0)
     assert bench.call(later_s=1200.0) is GuardStatus.EXPIRED
@@ -120,13 +103,6 @@ def test_foreign_enable_bits_do_not_decide_which_axes_an_expired_block_takes_bac
     assert reached == [pytest.approx(row) for row in ((0.0, 0.0, 7.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))]
 
 
-def test_an_alarm_instead_of_a_message_ends_the_program_after_the_echo() -> None:
-    bench = GuardBench(alarm="stop")
-    bench.write(z=1.0, valid_for_s=-1.0)
-    assert bench.call() is GuardStatus.EXPIRED
-    assert bench.nc.control.alarm == (103, "TOOLPOINT EXPIRED")
-
-
 def test_with_all_bits_off_nothing_alarms_whatever_else_is_wrong(bench: GuardBench) -> None:
     bench.write(z=5.0)
     bench.call()
@@ -145,15 +121,6 @@ def test_a_disabled_axis_stays_where_it_is_while_others_follow(bench: GuardBench
     bench.write(x=0.0, z=8.0, enable=0b100)
     assert bench.call() is GuardStatus.APPLIED
     assert bench.applied_um == pytest.approx({"x": 2.0, "y": 0.0, "z": 8.0})
-
-
-def test_an_axis_retreats_alone_while_its_bit_is_set(bench: GuardBench) -> None:
-    bench.write(x=2.0, z=5.0)
-    bench.call()
-    for x in (1.0, 0.0):
-        bench.write(x=x, z=9.0, enable=0b101)
-        bench.call()
-    assert bench.applied_um == pytest.approx({"x": 0.0, "y": 0.0, "z": 9.0})
 
 
 @pytest.mark.parametrize("axis", AXES)

@@ -10,8 +10,6 @@ from drivers.sim.nc.nc import CLOCK_WRAP_S
 from drivers.sim.nc.safe_point import GuardStatus
 
 MEMORY = range(590, 597)
-READS = 7
-"""Macros that the guard reads from the block, and that the daemon writes."""
 
 
 @pytest.fixture(params=["fanuc", "sinumerik"], autouse=True)
@@ -41,18 +39,6 @@ def test_a_clock_that_wraps_expires_the_block_and_never_revives_it() -> None:
     bench.macros.set(MAP.values["z"], 0.009)
     assert bench.call() is GuardStatus.EXPIRED
     assert bench.applied_um["z"] == pytest.approx(5.0)
-
-
-def test_another_program_that_clears_the_timer_only_expires_the_block(bench: GuardBench) -> None:
-    bench.write(z=3.0)
-    if bench.siemens:
-        bench.nc.control.start_timer(1, 0.0)
-    else:
-        bench.nc.control.timer_zero_ms = CLOCK_S * 1000.0
-    interpreter = bench.nc.at(bench.macros, CLOCK_S)
-    interpreter.run(bench.nc.programs.guard)
-    assert bench.macros.get(MAP.echo_status) == GuardStatus.EXPIRED
-    assert bench.applied_um["z"] == 0.0
 
 
 def test_power_off_keeps_the_offset_and_waits_for_the_daemon(bench: GuardBench) -> None:
@@ -162,13 +148,3 @@ def test_an_uninitialised_control_is_never_moved() -> None:
     assert bench.nc.control.alarm is None
     bench.write(z=5.0)
     assert bench.call() is GuardStatus.APPLIED
-
-
-@pytest.mark.parametrize("argument", [0.0, 0.001, 2.0, -1.0])
-def test_initialising_with_another_argument_changes_nothing(bench: GuardBench, argument: float) -> None:
-    interpreter = bench.nc.at(bench.macros, CLOCK_S)
-    bench.write(enable=0.0, valid_for_s=None)
-    before = {number: bench.macros.get(number) for number in (*MAP.block, *MEMORY, MAP.echo_time)}
-    interpreter.run(bench.nc.programs.initialise, A=argument)
-    assert bench.nc.control.alarm == (112, "TOOLPOINT A IS NOT 1")
-    assert {number: bench.macros.get(number) for number in before} == before

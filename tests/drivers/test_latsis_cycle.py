@@ -48,25 +48,6 @@ def test_a_pass_is_a_complete_cycle_at_its_last_byte(settings: dict[str, object]
     assert line.assembler.frames == 60
 
 
-def test_extended_mode_uses_four_digits() -> None:
-    line = Line(3, extended_mode=True)
-    line.digits = dict.fromkeys(line.digits, 4)
-    cycle = only(line.one_pass(c3=0x0190, c2=0x1E70, c1=0x0960))
-    assert line.good(cycle) == {3: 25.0, 2: -25.0, 1: 150.0}
-
-
-def test_a_chain_of_one_sensor() -> None:
-    line = Line(1)
-    assert [only(line.one_pass()).complete for _ in range(3)] == [True] * 3
-
-
-def test_chain_order_is_the_order_of_the_configuration() -> None:
-    config = LineConfig(name="mixed", port="none", chain=[30, 10, 20])
-    assembler = CycleAssembler(config, [SensorConfig(id=i, component="c") for i in (10, 20, 30)])
-    cycle = only(assembler.feed(b"03190\r\n02191\r\n01192\r\n", instant(0)))
-    assert list(cycle.degc) == [25.125, 25.0625, 25.0]  # position 1 is sensor 30
-
-
 def test_a_chain_with_an_unknown_sensor_is_refused() -> None:
     with pytest.raises(FatalDriverError, match=r"spindle.*\[502\]"):
         CycleAssembler(
@@ -120,28 +101,6 @@ def test_a_damaged_id_drops_both_places(line: Line, shown: int) -> None:
     assert any(f"sensor {500 + shown}" in fault and "out of order at byte" in fault for fault in cycle.faults)
 
 
-@pytest.mark.parametrize("shown", [0x87, 0xF7, 0])
-def test_a_damaged_id_that_no_sensor_has(line: Line, shown: int) -> None:
-    frames = [line.frame(shown if i == 7 else i, line.codes[i]) for i in line.ids]
-    cycle = only(line.send(*frames) + line.rest())
-    assert line.reasons(cycle) == {7: Reason.NOT_RECEIVED}
-    assert any(f"no sensor of this line (ID {shown:03X}h)" in fault for fault in cycle.faults)
-    assert only(line.one_pass()).complete
-
-
-def test_a_damaged_id_that_shows_the_lowest_does_not_end_the_cycle(line: Line) -> None:
-    frames = [line.frame(1 if i == 9 else i, line.codes[i]) for i in line.ids]
-    cycle = only(line.send(*frames) + line.rest())
-    assert line.reasons(cycle) == {9: Reason.NOT_RECEIVED, 1: Reason.DUPLICATE_ID}
-    assert only(line.one_pass()).complete
-
-
-def test_a_damaged_highest_id_costs_its_value_only(line: Line) -> None:
-    frames = [line.frame(4 if i == 12 else i, line.codes[i]) for i in line.ids]
-    cycle = only(line.send(*frames) + line.rest())
-    assert line.reasons(cycle) == {12: Reason.NOT_RECEIVED, 4: Reason.DUPLICATE_ID}
-
-
 def test_an_id_sent_twice_in_a_row_is_not_believed(line: Line) -> None:
     frames = [line.frame(i) for i in line.ids]
     cycle = only(line.send(*frames[:5], line.frame(8, 0x7AA), *frames[5:]))
@@ -160,15 +119,6 @@ def test_silence_closes_an_incomplete_pass() -> None:
     cycle = only(line.assembler.poll(instant(last_s + 0.26 * PERIOD_S)))
     assert line.reasons(cycle) == dict.fromkeys([1, 2, 3], Reason.NOT_RECEIVED)
     assert cycle.trace.last_byte.monotonic_s == pytest.approx(last_s)
-
-
-def test_silence_is_noticed_when_the_next_bytes_come() -> None:
-    line = Line()
-    line.one_pass()
-    line.send(*(line.frame(i) for i in line.ids[:-3]))
-    line.at_s += PERIOD_S  # nobody polls
-    first, second = line.send(*(line.frame(i) for i in line.ids))
-    assert (first.complete, second.complete) == (False, True)
 
 
 def test_an_id_that_rises_again_closes_an_incomplete_pass(line: Line) -> None:
@@ -194,20 +144,6 @@ def test_a_short_pause_of_this_computer_is_no_silence_on_a_fast_clock() -> None:
     assert [c.complete for c in line.assembler.poll(fast(0.2))] == [False]
 
 
-def test_a_pass_joined_under_way_is_discarded() -> None:
-    line = Line()
-    assert line.send(line.frame(6)[3:], *(line.frame(i) for i in line.ids if i < 6)) + line.rest() == []
-    cycle = only(line.one_pass())
-    assert (cycle.complete, cycle.number, cycle.faults) == (True, 1, ())
-
-
-def test_a_lost_link_delivers_what_had_arrived(line: Line) -> None:
-    line.send(*(line.frame(i) for i in line.ids[:4]))
-    cycle = only(line.assembler.finish())
-    assert sorted(line.good(cycle)) == [9, 10, 11, 12]
-    assert line.assembler.finish() == []
-
-
 # Silent sensors
 
 
@@ -229,16 +165,6 @@ def test_a_dead_tail_is_not_waited_for_any_more_and_heard_again_when_it_speaks()
     cycle = only(line.one_pass())
     assert cycle.complete
     assert line.good(cycle) == line.expected()
-
-
-def test_lost_bytes_make_nobody_silent() -> None:
-    line = Line(profile="checked")
-    line.one_pass()
-    damaged = [line.frame(i)[:-4] + b"\r\n" if i in {1, 2, 3} else line.frame(i) for i in line.ids]
-    for _ in range(3 * SILENT_AFTER_CYCLES):
-        line.send(*damaged)
-        line.rest()
-    assert line.silent_ids == set()
 
 
 # Everything at once

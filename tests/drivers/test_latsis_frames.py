@@ -61,19 +61,6 @@ frame_values = st.lists(
 )
 
 
-def test_bare_example() -> None:
-    records = FrameParser(BARE, {0xC8: 3}).feed(b"C8190\r\n")
-    assert records == [Frame(wire_id=200, code=0x190, status=0, offset=0, end=7)]
-    assert frame_bytes(BARE, 3) == 7
-
-
-def test_checked_example_and_its_sum() -> None:
-    assert sum8(b"0C8,190,00") == 0xFD
-    records = FrameParser(CHECKED, {0xC8: 3}).feed(b":0C8,190,00*FD\r\n")
-    assert records == [Frame(wire_id=200, code=0x190, status=0, offset=0, end=16)]
-    assert frame_bytes(CHECKED, 3) == 16
-
-
 def test_checksums_against_published_values() -> None:
     assert crc8(b"123456789") == 0xF4  # CRC-8/SMBUS
     assert lrc8(bytes.fromhex("F7031389000A")) == 0x60  # Modbus over serial line, ASCII mode
@@ -152,18 +139,6 @@ def test_a_flipped_bit_in_each_frame_yields_no_value_that_was_not_sent(seed: int
     assert set(frames(records)) <= set(sent)
 
 
-def test_random_garbage_around_frames_loses_none_of_them() -> None:
-    chance = random.Random(7)
-    sent = [(wire_id, wire_id) for wire_id in range(100, 0, -1)]
-    stream = bytearray()
-    for value in sent:
-        stream += bytes(byte for byte in chance.randbytes(30) if byte not in b":\n")
-        stream += encode(CHECKED, *value)
-    records = FrameParser(CHECKED, {}).feed(bytes(stream))
-    assert frames(records) == sent
-    assert set(errors(records)) <= {FrameFault.NOISE, FrameFault.NO_START}
-
-
 @pytest.mark.parametrize(
     ("stream", "kind"),
     [
@@ -186,10 +161,6 @@ def test_reason_of_a_refusal(stream: bytes, kind: FrameFault) -> None:
     assert (error.kind, error.offset, error.end) == (kind, 16, 16 + len(stream))
 
 
-def test_lower_case_is_refused_without_a_checksum_too() -> None:
-    assert errors(FrameParser(BARE, {}).feed(b"c8190\r\nC819a\r\n")) == [FrameFault.FORM] * 2
-
-
 def test_value_width_follows_the_sensor_of_the_id() -> None:
     parser = FrameParser(BARE, {1: 3, 2: 4})
     records = parser.feed(b"023A2B\r\n01190\r\n02190\r\n013A2B\r\n")
@@ -198,13 +169,6 @@ def test_value_width_follows_the_sensor_of_the_id() -> None:
         (FrameFault.TOO_NARROW, 2),
         (FrameFault.TOO_WIDE, 1),
     ]
-
-
-def test_a_lost_line_end_character_costs_no_frame() -> None:
-    records = FrameParser(BARE, {}).feed(b"05190\n04191\r03192\r\n\r\n02193\r\n")
-    assert frames(records) == [(5, 0x190), (4, 0x191), (3, 0x192), (2, 0x193)]
-    assert [record.offset for record in records] == [0, 6, 12, 21]
-    assert not errors(records)
 
 
 def test_a_lost_line_end_costs_the_frames_that_it_joins_and_no_more() -> None:
@@ -222,9 +186,3 @@ def test_without_line_end_the_buffer_stays_small_and_the_parser_recovers() -> No
         assert parser.bytes_fed - parser.bytes_judged < MAX_LINE_BYTES
         rest = parser.feed(b"7\r\n" + encode(grammar, 9, 0x123))
         assert frames(rest) == [(9, 0x123)]
-
-
-def test_the_tail_of_an_overlong_line_is_not_taken_for_a_frame() -> None:
-    records = FrameParser(BARE, {}).feed(b"7" * MAX_LINE_BYTES + b"C8190\r\n" + b"C7191\r\n")
-    assert frames(records) == [(0xC7, 0x191)]
-    assert errors(records) == [FrameFault.OVERLONG] * 2

@@ -40,15 +40,6 @@ def test_more_nodes_than_configured_are_quarantined() -> None:
     assert "announce 13 sensors" in cycle.faults[0]
 
 
-def test_ids_below_the_chain_are_quarantined() -> None:
-    line = Line(id_offset=1)
-    line.one_pass()
-    for _ in range(RENUMBERED_AFTER_CYCLES + 1):
-        line.one_pass((*line.ids, 1))
-    assert line.quarantined
-    assert "IDs below the chain's lowest" in (line.alarm or "")
-
-
 def test_sensors_of_another_kind_under_an_id_are_quarantined() -> None:
     line = Line(infrared=[11, 12])
     line.one_pass()
@@ -58,24 +49,6 @@ def test_sensors_of_another_kind_under_an_id_are_quarantined() -> None:
         cycle = only(line.send(*backwards) + line.rest())
         assert set(line.reasons(cycle).values()) == {Reason.QUARANTINED}
     assert "another kind of sensor come under the IDs 002h, 001h" in cycle.faults[0]
-    assert line.quarantined
-
-
-def test_renumbering_is_seen_although_the_first_value_has_the_wrong_width() -> None:
-    line = Line(infrared=[12])
-    line.one_pass()
-    for _ in range(RENUMBERED_AFTER_CYCLES):
-        frames = [line.frame(i, 0x3A2B if i == 11 else 0x190, digits=4 if i == 11 else 3) for i in line.ids[1:]]
-        cycle = only(line.send(*frames) + line.rest())
-        assert set(line.reasons(cycle).values()) == {Reason.QUARANTINED}
-    assert "announce 11 sensors" in cycle.faults[0]
-
-
-def test_a_line_that_is_renumbered_from_the_start_is_never_assigned() -> None:
-    line = Line()
-    cycles = [cycle for _ in range(5) for cycle in line.one_pass(line.ids[1:])]
-    assert len(cycles) == 4  # the first might have been joined under way
-    assert all(set(line.reasons(cycle).values()) == {Reason.QUARANTINED} for cycle in cycles)
     assert line.quarantined
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from config.schema.temperatures import LineConfig, SensorConfig
 from drivers.latsis.cycle import CycleAssembler
-from drivers.latsis.pacing import LONGEST_PAUSE_REAL_S, ReadPacer
+from drivers.latsis.pacing import ReadPacer
 from models.records import Instant
 
 COUNT = 130
@@ -51,17 +51,6 @@ def test_a_trickle_is_read_rarely_and_its_last_byte_at_once(speed: float, baud: 
             assert wire.reads < len(wire.data) / 20
 
 
-def test_packets_of_a_usb_adapter_are_a_trickle_too() -> None:
-    wire = Wire()
-    for number in range(5):
-        wire.reads = 0
-        start_s = 10.0 * (number + 1)
-        # Every 16 ms the adapter delivers what it has collected.
-        due_s = [start_s + 0.016 * (1 + (due - start_s) // 0.016) for due in wire.one_by_one(start_s)]
-        assert wire.read_pass(due_s) < 1e-3
-    assert wire.reads < 20
-
-
 def test_a_sender_faster_than_the_baud_rate_is_never_slept_over() -> None:
     wire = Wire()
     for number in range(5):
@@ -69,10 +58,3 @@ def test_a_sender_faster_than_the_baud_rate_is_never_slept_over() -> None:
         # Ten pieces, ten times as fast as the baud rate allows.
         due_s = [start_s + 0.01 * (i * 10 // len(wire.data)) for i in range(len(wire.data))]
         assert wire.read_pass(due_s) < 1e-9
-
-
-def test_no_sleep_is_longer_than_its_bound() -> None:
-    pacer = ReadPacer(300, 1.0)
-    now = Instant(monotonic_s=0.0, utc_s=0.0, real_s=0.0)
-    assert pacer.pause_real_s(1, now, 10**9) == LONGEST_PAUSE_REAL_S
-    assert ReadPacer(9600, 1.0).pause_real_s(10, now, 10) == 0.0

@@ -15,9 +15,8 @@ from left_behind import leaves_nothing_behind
 
 from config.schema.temperatures import LineConfig, SensorConfig
 from drivers.clock import Clock, ScaledClock, SystemClock
-from drivers.contract import FatalDriverError, LinkError, TemperatureSource
+from drivers.contract import LinkError, TemperatureSource
 from drivers.latsis import source as latsis_serial
-from drivers.latsis.reader import SerialPort, StopSignal
 from drivers.latsis.source import LatsisSerialSource
 from models.records import TemperatureCycle
 
@@ -133,20 +132,6 @@ async def test_cycles_arrive_and_are_stamped(wire: Wire) -> None:
     await source.close()
 
 
-async def test_single_bytes_make_a_cycle(wire: Wire) -> None:
-    source = source_of(wire.port)
-    cycles = source.cycles()
-    await opened(wire, cycles)
-    task = asyncio.ensure_future(following(cycles))
-    for byte in frames(code=0x1F0):
-        wire.send(bytes([byte]))
-        await asyncio.sleep(0.002)
-    cycle = await task
-    assert list(cycle.degc) == [31.0] * 5
-    assert cycle.trace.first_byte.real_s < cycle.trace.last_byte.real_s
-    await source.close()
-
-
 async def test_unplug_names_port_and_line_and_plugging_again_works(wire: Wire) -> None:
     for _ in range(3):
         source = source_of(wire.port)
@@ -161,29 +146,6 @@ async def test_unplug_names_port_and_line_and_plugging_again_works(wire: Wire) -
         wire.plug()
 
 
-async def test_frames_before_the_unplugging_are_not_lost(wire: Wire) -> None:
-    source = source_of(wire.port)
-    cycles = source.cycles()
-    await opened(wire, cycles)
-    frames_before = source._assembler.frames
-    task = asyncio.ensure_future(following(cycles))
-    wire.send(b"05222\r\n04222\r\n")
-    async with asyncio.timeout(PATIENCE_S):
-        while source._assembler.frames < frames_before + 2:
-            await asyncio.sleep(0.01)
-    wire.unplug()
-    cycle = await task
-    assert not cycle.complete
-    assert list(cycle.degc[3:]) == [34.125, 34.125]
-    with pytest.raises(LinkError):
-        await following(cycles)
-
-
-async def test_missing_port() -> None:
-    with pytest.raises(LinkError, match=r"line spindle: port /dev/serial/by-id/none does not exist: plug .*by-path"):
-        await following(source_of("/dev/serial/by-id/none").cycles())
-
-
 async def test_busy_port(wire: Wire) -> None:
     first = source_of(wire.port)
     cycles = first.cycles()
@@ -193,18 +155,6 @@ async def test_busy_port(wire: Wire) -> None:
     wire.send(frames())
     assert (await following(cycles)).complete  # the first one is not disturbed
     await first.close()
-
-
-async def test_no_serial_port(tmp_path: Path) -> None:
-    path = tmp_path / "file"
-    path.write_text("05190\n")
-    with pytest.raises(LinkError, match=f"port {path} is not a serial port"):
-        await following(source_of(path).cycles())
-
-
-async def test_unknown_kind_of_port_is_fatal() -> None:
-    with pytest.raises(FatalDriverError, match="line spindle: port nosuch://x cannot be used"):
-        await following(source_of("nosuch://x").cycles())
 
 
 FORBIDDEN = """
@@ -310,74 +260,6 @@ async def test_three_lines_are_independent(wires: list[Wire]) -> None:
     for source in sources:
         await source.close()
     await asyncio.gather(*tasks)
-
-
-async def test_socket_port() -> None:
-    nodes: list[asyncio.StreamWriter] = []
-    server = await asyncio.start_server(lambda _, writer: nodes.append(writer), "127.0.0.1", 0)
-    host, port = server.sockets[0].getsockname()
-    source = source_of(f"socket://{host}:{port}")
-    cycles = source.cycles()
-    task = asyncio.ensure_future(following(cycles))
-    while not task.done():
-        for node in nodes:
-            node.write(frames())
-        await asyncio.sleep(0.05)
-    assert task.result().complete
-    nodes[0].close()
-    with pytest.raises(LinkError, match="went away"):
-        while True:
-            await following(cycles)
-    server.close()
-    with pytest.raises(LinkError, match="cannot be opened"):
-        await following(source_of(f"socket://{host}:{port}").cycles())
-
-
-def test_port_without_a_descriptor_is_polled() -> None:
-    stop = StopSignal()
-    port = SerialPort("loop://", 9600, "line spindle", stop)
-    port.write(b"05190\r\n")
-    assert port.read() == b"05190\r\n"
-    assert port.read() == b""
-    port.close()
-    stop.release()
-
-
-async def test_loop_port_is_silent_and_can_be_closed() -> None:
-    source = source_of("loop://")
-    task = asyncio.ensure_future(following(source.cycles()))
-    await asyncio.sleep(0.1)
-    await source.close()
-    with pytest.raises(StopAsyncIteration):
-        await task
-
-
-async def test_close_in_any_state_releases_everything(wire: Wire) -> None:
-    await leaves_nothing_behind(lambda: closed_in_any_state(wire))
-
-
-async def closed_in_any_state(wire: Wire) -> None:
-    unused = source_of(wire.port)
-    await unused.close()
-    await unused.close()
-    with pytest.raises(RuntimeError, match="used once"):
-        await following(unused.cycles())
-
-    source = source_of(wire.port)
-    waiting = asyncio.ensure_future(anext(source.cycles()))
-    await asyncio.sleep(0.05)
-    await asyncio.gather(source.close(), source.close())
-    with pytest.raises(StopAsyncIteration):
-        await waiting
-
-    source = source_of(wire.port)
-    waiting = asyncio.ensure_future(anext(source.cycles()))
-    await asyncio.sleep(0.05)
-    waiting.cancel()
-    with pytest.raises(asyncio.CancelledError):
-        await waiting
-    await source.close()
-    assert readers() == []
 
 
 async def test_many_openings_leak_no_descriptor(wire: Wire) -> None:

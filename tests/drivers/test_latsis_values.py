@@ -8,7 +8,7 @@ from latsis_line import Line, only
 
 from config.schema.temperatures import LineConfig, SensorConfig
 from drivers.latsis.frames import Frame
-from drivers.latsis.values import RESET_BURST_SENSORS, ChainDecoder, decode_mlx90615, decode_tmp102
+from drivers.latsis.values import ChainDecoder, decode_tmp102
 from models.quality import Reason
 
 
@@ -33,19 +33,6 @@ def test_tmp102_register(code: int, extended: bool, degc: float) -> None:
     assert decode_tmp102(code, extended_mode=extended) == (degc, Reason.NONE)
 
 
-def test_codes_beyond_the_register_have_no_temperature() -> None:
-    value, reason = decode_tmp102(0x2000, extended_mode=True)
-    assert math.isnan(value)
-    assert reason == Reason.UNREADABLE
-
-
-def test_mlx90615_register_and_error_flag() -> None:
-    assert decode_mlx90615(0x3A2B)[0] == pytest.approx(0x3A2B * 0.02 - 273.15)
-    value, reason = decode_mlx90615(0x8000 | 0x3A2B)
-    assert math.isnan(value)
-    assert reason == Reason.DEVICE_ERROR
-
-
 # Node resets
 
 
@@ -59,10 +46,6 @@ def test_a_reset_burst_is_refused_and_named(line: Line) -> None:
     assert line.good(only(line.one_pass())) == line.expected()
 
 
-def test_a_single_reset_is_refused(line: Line) -> None:
-    assert line.reasons(only(line.one_pass(c5=0))) == {5: Reason.RESET}
-
-
 def test_zero_without_a_predecessor_is_refused() -> None:
     line = Line()
     assert line.reasons(only(line.one_pass(c5=0))) == {5: Reason.RESET}
@@ -74,18 +57,6 @@ def test_a_sensor_near_zero_may_read_zero(line: Line, before: int, genuine: bool
     cycle = only(line.one_pass(c5=0))
     assert (line.reasons(cycle) == {}) == genuine
     assert line.reasons(only(line.one_pass(c5=0))) == ({} if genuine else {5: Reason.RESET})
-
-
-def test_within_a_burst_no_zero_is_believed(line: Line) -> None:
-    line.one_pass(c5=0x008)
-    burst = {f"c{i}": 0 for i in range(6, 6 + RESET_BURST_SENSORS)}
-    assert line.reasons(only(line.one_pass(c5=0, **burst)))[5] == Reason.RESET
-
-
-def test_infrared_sensors_have_no_reset_rule() -> None:
-    line = Line(3, infrared=[2])
-    line.one_pass()
-    assert line.good(only(line.one_pass(c2=0x355A)))[2] == pytest.approx(0.01)
 
 
 # Errors that the sensor reports

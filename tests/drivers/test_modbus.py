@@ -20,7 +20,7 @@ from drivers.clock import SystemClock
 from drivers.contract import LinkError
 from drivers.modbus.registers import number_of
 from drivers.modbus.source import ModbusSource
-from drivers.sim.wires.modbus_box import ModbusTcpBox, Send, answer_to, crc16, registers_of, rtu_answer
+from drivers.sim.wires.modbus_box import ModbusTcpBox, Send, registers_of
 from models.quality import Reason
 
 TYPES = ("int16", "uint16", "int32", "uint32", "float32")
@@ -47,18 +47,6 @@ def test_successive_registers_are_one_request_and_the_longest_answer_bounds_it()
         (1, "input", 1, 1),
         (7, "holding", 2, 1),
     ]
-
-
-def test_requests_of_a_serial_line_have_answers_of_different_lengths() -> None:
-    two_banks = [sensor(i) for i in (*range(8), *range(100, 108))]
-    assert [count for *_, count in reads(section(*two_banks))] == [8, 8]
-    counts = [count for *_, count in reads(section(*two_banks, framing="rtu"))]
-    assert sorted(counts) == [1, 7, 8]
-    with pytest.raises(ValidationError, match=r"answers of one length.*set `gap` to 1 or more"):
-        section(sensor(0), sensor(100), framing="rtu")
-    assert sorted(count for *_, count in reads(section(sensor(0), sensor(100), framing="rtu", gap=1))) == [1, 2]
-    other_units = section(sensor(0), sensor(100, unit_id=2), sensor(200, table="input"), framing="rtu")
-    assert [count for *_, count in reads(other_units)] == [1, 1, 1]
 
 
 @given(
@@ -124,25 +112,6 @@ def test_registers_as_boxes_send_them(kind: str, order: str, registers: list[int
     about = ModbusSensorConfig.model_validate(sensor(0, type=kind, word_order=order, open=[-999, 64537]))
     assert number_of(registers, about) == number
     assert about.is_open(number) == (number != 23.5 and number != 65536.0)
-
-
-def test_too_few_registers_are_no_number() -> None:
-    about = ModbusSensorConfig.model_validate(sensor(0, type="int32"))
-    for registers in ([1], [1, 2, 3], [1, 65536], [1, -1]):
-        with pytest.raises(ValueError, match="takes 2 registers"):
-            number_of(registers, about)
-    with pytest.raises(ValueError, match="does not fit int16"):
-        registers_of(40000.0, ModbusSensorConfig.model_validate(sensor(0)))
-
-
-@given(st.binary(max_size=300))
-def test_the_simulated_box_answers_anything_without_falling_over(frame: bytes) -> None:
-    def contents(_unit: int, _table: str, _start: int, count: int) -> Sequence[int]:
-        return [0] * count
-
-    assert len(answer_to(1, frame, contents)) >= 2
-    answer = rtu_answer(frame + crc16(frame), contents)
-    assert not answer or crc16(answer[:-2]) == answer[-2:]
 
 
 # --- no answer ever lands on another register ---------------------------------------
@@ -237,23 +206,3 @@ async def test_what_cannot_be_reached_is_named_with_what_to_check(tmp_path: Path
     ):
         with pytest.raises(LinkError, match=f"source bad: .*{words}"):
             await anext(source_of(place)().cycles())
-
-
-@pytest.mark.wires
-async def test_no_request_of_a_new_connection_has_the_number_of_an_old_one() -> None:
-    numbers: list[bytes] = []
-
-    def way(answer: bytes, send: Send) -> None:
-        numbers.append(answer[:2])
-        send(answer)
-
-    box = ModbusTcpBox(contents, way=way)
-    await box.start()
-    for _ in range(5):
-        source = source_of({"host": "127.0.0.1", "port": box.port})()
-        async with asyncio.timeout(PATIENCE_S):
-            await anext(source.cycles())
-        await source.close()
-    await box.stop()
-    assert len(numbers) > 5
-    assert len(set(numbers)) == len(numbers)

@@ -13,11 +13,10 @@ from scripted_machine import ScriptedNc, cnc_config
 
 from daemon.cnc.interlocks import Interlocks
 from drivers.clock import SystemClock
-from drivers.contract import Capability, FatalDriverError, LinkError, NotSentError
+from drivers.contract import Capability, LinkError, NotSentError
 from drivers.mtconnect.cnc import MtconnectCnc
 from drivers.mtconnect.device import MOST_FAULTS, DataItem, Device
 from drivers.mtconnect.xml import DEEPEST, LONGEST_DOCUMENT, XmlError, parsed
-from drivers.sim.wires import mtconnect_agent
 from drivers.sim.wires.mtconnect_agent import BUFFER, SimulatedMtconnectAgent
 from models.records import CncMode, CncRun
 
@@ -85,27 +84,6 @@ async def test_what_the_agent_has_forgotten_is_read_anew_and_another_instance_is
     with pytest.raises(LinkError):
         await cnc.read([])
     await cnc.close()
-
-
-@pytest.mark.wires
-async def test_a_name_with_letters_that_no_address_has_is_asked_for(bench, monkeypatch):
-    monkeypatch.setattr(mtconnect_agent, "DEVICE", "Fräse 1")
-    cnc = bench.open(section={"device": "Fräse 1"})
-    await cnc.connect()
-    assert (await cnc.read([])).run is CncRun.START
-    await cnc.close()
-
-
-@pytest.mark.wires
-async def test_a_device_or_item_that_is_not_there_is_named(bench):
-    for section, words in (
-        ({"device": "Lathe"}, "has no device 'Lathe': .* there are SimulatedMachine"),
-        ({"spindle_speed_item": "S9"}, "has no data item 'S9'"),
-    ):
-        with pytest.raises(FatalDriverError, match=words):
-            await bench.open(section=section).connect()
-    with pytest.raises(FatalDriverError, match="no data item of type EXECUTION"):
-        Device(name="x", uuid="y", items=(DataItem(item_id="a", name="", kind="PROGRAM", subtype=""),))
 
 
 @pytest.mark.wires
@@ -184,21 +162,3 @@ def test_a_document_that_could_harm_is_refused(document):
 def test_any_bytes_are_a_document_or_refused(content):
     with contextlib.suppress(XmlError):
         assert asyncio.run(parsed(content)).name
-
-
-@pytest.mark.wires
-async def test_an_agent_that_never_ends_its_answer_is_a_lost_link(bench):
-    async def pour(reader, writer):
-        await reader.read(100)
-        writer.write(b"HTTP/1.1 200 OK\r\nConnection: close\r\n\r\n")
-        try:
-            while True:
-                writer.write(b"<a>" * 20_000)
-                await writer.drain()
-        except ConnectionError:
-            writer.close()
-
-    endless = await asyncio.start_server(pour, "127.0.0.1", 0)
-    with pytest.raises(LinkError, match="longer than"):
-        await bench.open_at(endless.sockets[0].getsockname()[1], timeout_s=30.0).connect()
-    endless.close()

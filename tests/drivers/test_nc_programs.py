@@ -65,24 +65,6 @@ def test_requests_are_made_where_the_program_asks() -> None:
     assert value * 1000.0 == pytest.approx(measured, abs=0.5)
 
 
-def test_what_the_nc_shows_stays_plain_numbers_when_a_request_has_held_its_block() -> None:
-    simulated = machine(request_timeout_s=3.0)
-    simulated.advance(40.0)
-    nc = simulated.nc
-    assert {type(value) for value in (nc.spindle_speed_rpm, nc.motor_temperature_degc, nc.clock_s)} == {float}
-    assert type(simulated.body.block_end_s) is float
-
-
-def test_an_answered_request_leaves_the_block_as_long_as_it_is() -> None:
-    simulated = machine(request_timeout_s=60.0)
-    for tenths in range(1, 260):
-        simulated.advance(tenths / 10.0)
-        counter = simulated.nc.macros.get(520)
-        if counter is not None and simulated.time_s > 6.0:
-            simulated.nc.macros.set(524, counter)
-    assert simulated.nc.sequence_number == 200
-
-
 @pytest.mark.parametrize("timeout_s,ends_s", [(10.0, 25.0), (40.0, 45.1)])
 def test_a_request_without_an_answer_holds_its_block_until_the_time_is_over(timeout_s: float, ends_s: float) -> None:
     simulated = machine(request_timeout_s=timeout_s)
@@ -109,15 +91,6 @@ def test_the_programs_leave_the_modes_as_they_were(code: int) -> None:
     while guard.at(macros, 30.0).wait() is not None:
         continue
     assert guard.control.modal == {3: code, 5: 94, 6: 21, 7: 40, 9: 80}
-
-
-def test_a_timeout_can_say_so() -> None:
-    simulated = machine(on_timeout="message")
-    simulated.advance(14.9)
-    assert request_of(simulated)[1] == 1.0
-    simulated.advance(16.0)
-    assert request_of(simulated)[1] == 0.0
-    assert list(simulated.guard.control.messages) == ["TOOLPOINT GIVES NO ANSWER"]
 
 
 @pytest.mark.parametrize("alarm,expected", [("message", 0), ("stop", MACRO_ALARM + 123)])
@@ -218,31 +191,3 @@ def test_the_safe_flag_is_set_in_safe_blocks_only() -> None:
         flags.setdefault(simulated.nc.sequence_number, set()).add(simulated.nc.macros.get(FLAG))
     assert flags[200] == {0.0} and flags[100] == {0.0} and flags[210] == {0.0}
     assert 1.0 in flags[SAFE]
-
-
-def test_an_alarm_of_the_guard_shows_until_the_next_block() -> None:
-    simulated = machine(alarm="stop", request_timeout_s=0.5)
-    macros = simulated.nc.macros
-    for number, value in ((500, 1.0), (503, 0.001), (504, 4.0), (505, 1.0)):
-        macros.set(number, value)
-    simulated.advance(57.0)
-    assert (simulated.nc.sequence_number, simulated.nc.alarm) == (SAFE, MACRO_ALARM + 103)
-    simulated.advance(60.0)
-    assert (simulated.nc.sequence_number, simulated.nc.alarm) == (210, 0)
-
-
-def test_power_off_while_a_request_waits() -> None:
-    simulated = machine()
-    simulated.advance(6.0)
-    assert simulated.guard.interpreter.running
-    simulated.power_cycle()
-    assert not simulated.guard.interpreter.running
-    simulated.advance(12.0)
-    assert request_of(simulated)[0] == 2.0
-
-
-def test_initialising_again_keeps_the_counter() -> None:
-    simulated = machine()
-    simulated.nc.macros.set(520, 12.0)
-    simulated.initialise_macros()
-    assert request_of(simulated) == (12.0, 0.0, 0.0, 0.0)

@@ -6,17 +6,14 @@ from pathlib import Path
 
 import pytest
 from cryptography import x509
-from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from drivers.contract import FatalDriverError
 from drivers.opcua.certificates import (
     application_uri,
-    chain_thumbprint,
     create_application_certificate,
     load_certificate,
     load_private_key,
-    thumbprint,
 )
 
 
@@ -45,12 +42,3 @@ def test_nothing_is_overwritten(tmp_path: Path, existing: str) -> None:
         )
     assert (tmp_path / existing).read_text() == "precious"
     assert len(list(tmp_path.iterdir())) == 1
-
-
-def test_thumbprint_of_a_chain_is_that_of_its_first_certificate(tmp_path: Path) -> None:
-    made = create_application_certificate(
-        tmp_path / "c.der", tmp_path / "c.key", application_uri="urn:x", host_name="x"
-    )
-    der = made.public_bytes(serialization.Encoding.DER)
-    assert chain_thumbprint(der) == chain_thumbprint(der + der) == thumbprint(made)
-    assert chain_thumbprint(b"") == "none"

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.opcua.log import RateLimitedHandler, limit_library_log
+from drivers.opcua.log import RateLimitedHandler
 
 
 class Recorder(logging.Handler):
@@ -47,28 +47,3 @@ def test_repeated_message_passes_once_per_period_with_the_count(
         time_s[0] = float(second)
         logger.warning("lost %s", "link")
     assert root.texts() == ["lost link", "lost link [5 more of these since]"]
-
-
-def test_traceback_becomes_one_line(limited: tuple[logging.Logger, list[float]], root: Recorder) -> None:
-    logger, _ = limited
-    try:
-        raise ConnectionError("gone")
-    except ConnectionError:
-        logger.exception("reading failed")
-    assert root.texts() == ["reading failed (ConnectionError: gone)"]
-    assert root.records[0].exc_info is None
-
-
-def test_other_messages_pass(limited: tuple[logging.Logger, list[float]], root: Recorder) -> None:
-    logger, _ = limited
-    logger.warning("one")
-    logger.getChild("part").warning("one")
-    logger.warning("two")
-    assert root.texts() == ["one", "one", "two"]
-
-
-def test_limit_is_put_on_the_library_once() -> None:
-    limit_library_log()
-    limit_library_log()
-    handlers = logging.getLogger("asyncua").handlers
-    assert sum(isinstance(handler, RateLimitedHandler) for handler in handlers) == 1

@@ -10,7 +10,6 @@ import subprocess
 import sys
 import time
 from collections.abc import AsyncIterator, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,15 +22,14 @@ from hypothesis import strategies as st
 from mosquitto import mosquitto
 
 from config.schema.source_drivers import SourceConfig
-from config.schema.source_sections import KernelSensorConfig
 from config.schema.sources import SourceSensorConfig
-from drivers import displacement, kernel, process, pushing
+from drivers import kernel, pushing
 from drivers.clock import SystemClock
-from drivers.contract import FatalDriverError, LinkError
+from drivers.contract import LinkError
 from drivers.displacement.logger import LoggerSource
 from drivers.json_fields import readings_in
 from drivers.kernel import KernelSource
-from drivers.mqtt import LARGEST_BYTES, MqttSource, numbers_in
+from drivers.mqtt import MqttSource, numbers_in
 from drivers.opcua.tags import reading_of
 from drivers.process import ProcessSource
 from drivers.readings import NoReading, Row, judged
@@ -77,17 +75,6 @@ def test_whatever_is_read_only_possible_temperatures_pass(
         assert -20.0 <= found <= 100.0 and math.isfinite(number) and number not in signs
 
 
-def test_units() -> None:
-    for about, number, degc in (
-        ({"unit": "degF"}, 68.0, 20.0),
-        ({"unit": "K", "scale": 0.01}, 29315.0, 20.0),
-        ({"scale": 0.1, "offset": -5.0}, 250.0, 20.0),
-    ):
-        sensor = SourceSensorConfig.model_validate({**SENSOR, **about})
-        assert sensor.value(number) == pytest.approx(degc)
-        assert sensor.number(degc) == pytest.approx(number)
-
-
 json_values = st.recursive(
     st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=5),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(["a", "b", "t"]), inner, max_size=3),
@@ -98,13 +85,6 @@ json_values = st.recursive(
 def test_any_json_gives_numbers_or_a_reason(content: Any, field: str) -> None:
     for reading in readings_in(content, {7: field}).values():
         assert isinstance(reading, float) or reading.reason == Reason.UNREADABLE
-
-
-def test_fields_of_json() -> None:
-    content = {"a": {"b": 3, "c": "x", "d": None, "e": True}, "n": 10**400}
-    found = readings_in(content, {1: "a.b", 2: "a.c", 3: "a.d", 4: "a.e", 5: "z.z", 6: "n"})
-    assert found[1] == 3.0 and found[6] == math.inf and set(found) == {1, 2, 4, 6}
-    assert all(isinstance(found[i], NoReading) for i in (2, 4))
 
 
 # --- a logger's files -----------------------------------------------------------------
@@ -181,44 +161,6 @@ async def test_a_row_of_units_that_says_another_unit_is_not_read_over(
     await opened.close()
 
 
-@pytest.mark.parametrize(
-    ("off_s", "said"), [(3600.0, "3600 s ahead of this computer's clock"), (-3600.0, "360. s behind this computer's")]
-)
-async def test_a_logger_whose_time_is_another_is_told_so_when_its_rows_are_not_used(
-    tmp_path: Path, off_s: float, said: str
-) -> None:
-    path = tmp_path / "log.csv"
-    row(path, "t,T7\n")
-    opened = logger(path, period_s=0.5)
-
-    async def write() -> None:
-        for _ in range(100):
-            row(path, f"{time.time() + off_s:.2f},20.0\n")
-            await asyncio.sleep(0.1)
-
-    writing = asyncio.ensure_future(write())
-    with pytest.raises(LinkError, match=f"{said}.*correct `time_zone`"):
-        await anext(aiter(opened.cycles()))
-    writing.cancel()
-    await opened.close()
-
-
-async def test_a_row_without_a_stamp_counts_from_its_arrival_and_rows_at_once_count_once(tmp_path: Path) -> None:
-    path = tmp_path / "log.csv"
-    row(path, "t;T7\nx;11,5\n")
-    opened = logger(path, time_columns=[], delimiter=";", decimal=",")
-    cycles = opened.cycles()
-    waiting = asyncio.ensure_future(following(cycles))
-    await asyncio.sleep(0.1)
-    assert not waiting.done(), "what stood there before is of nobody knows when"
-    before_s = time.time()
-    row(path, "x;20,5\nx;20,6\nx;20,7\n")
-    cycle = await waiting
-    assert list(cycle.degc) == [20.7] and cycle.number == 1
-    assert cycle.trace.first_byte.utc_s >= before_s
-    await opened.close()
-
-
 async def test_a_new_file_is_followed_and_tokens_are_no_numbers(tmp_path: Path) -> None:
     now_s = time.time()
     row(tmp_path / "1.csv", f"t,T7\n{now_s - 26:.2f},20.0\n")
@@ -234,17 +176,6 @@ async def test_a_new_file_is_followed_and_tokens_are_no_numbers(tmp_path: Path) 
     await opened.close()
 
 
-async def test_a_logger_that_stops_is_a_lost_link_with_what_to_check(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pushing, "MIN_SILENT_REAL_S", 0.1)
-    section = {"file": {"path": str(tmp_path / "x.csv"), "header": "t", "poll_period_s": 0.01}}
-    config = source("csv", section, {**SENSOR, "column": "T7"}, period_s=0.01)
-    with pytest.raises(LinkError, match=r"source s: file .*x\.csv has brought no new row.*check that the logger runs"):
-        await following(LoggerSource(config, SystemClock()).cycles())
-    assert displacement.__doc__
-
-
 # --- the kernel's sensors ---------------------------------------------------------------
 
 
@@ -252,14 +183,6 @@ def one_wire(folder: Path, name: str = "28-0316a2796fff") -> Path:
     path = folder / "w1_bus_master1" / name / "temperature"
     path.parent.mkdir(parents=True, exist_ok=True)
     return path
-
-
-def test_85_degrees_of_a_one_wire_sensor_are_its_power_up() -> None:
-    here = {**SENSOR, "path": "/sys/bus/w1/devices/28-1/temperature"}
-    assert isinstance(judged(KernelSensorConfig.model_validate_json(json.dumps(here)), 85000.0), NoReading)
-    assert judged(KernelSensorConfig.model_validate_json(json.dumps(here)), 84937.0) == pytest.approx(84.937)
-    there = {**SENSOR, "path": "/sys/class/hwmon/hwmon1/temp1_input"}
-    assert judged(KernelSensorConfig.model_validate_json(json.dumps(there)), 85000.0) == pytest.approx(85.0)
 
 
 @pytest.mark.parametrize(
@@ -279,12 +202,6 @@ def test_85_degrees_of_a_one_wire_sensor_are_its_power_up() -> None:
 def test_texts_of_the_kernel(text: str, found: float | Reason) -> None:
     number = kernel.number_of(text, Path("x"))
     assert (number.reason if isinstance(number, NoReading) else number) == found
-
-
-@given(st.text(max_size=300))
-def test_any_text_of_the_kernel_gives_a_number_or_a_reason(text: str) -> None:
-    number = kernel.number_of(text, Path("x"))
-    assert isinstance(number, NoReading) or math.isfinite(number)
 
 
 async def test_a_sensor_that_hangs_costs_itself_only_and_no_thread_joins_the_first(tmp_path: Path) -> None:
@@ -329,25 +246,6 @@ def program(code: str, **section: Any) -> ProcessSource:
     return ProcessSource(config, SystemClock())
 
 
-async def test_lines_that_say_nothing_are_told_and_the_next_good_one_counts() -> None:
-    opened = program(
-        "import time; say = print\n"
-        "def print(text): say(text); time.sleep(0.05)\n"
-        "print('no json'); print('{\"u\": 1}'); print('['*5000); print('x'*100000); print('{\"t\": NaN}')\n"
-        "print('{\"t\": 21.5}'); time.sleep(60)",
-        max_line_bytes=20000,
-    )
-    cycles = opened.cycles()
-    first = await following(cycles)
-    assert np.isnan(first.degc).all() and list(first.reason) == [Reason.UNREADABLE]
-    assert list((await following(cycles)).degc) == [21.5]
-    text = "\n".join(first.faults)
-    assert "line 1 is no JSON and is skipped: 'no json'" in text
-    assert "line 2 has none of the configured fields" in text
-    assert "longer than max_line_bytes (20000)" in text
-    await opened.close()
-
-
 async def test_a_program_ends_with_its_source_and_so_does_what_it_started(tmp_path: Path) -> None:
     note = tmp_path / "pid"
     opened = program(
@@ -369,16 +267,6 @@ def alive(pid: int) -> bool:
     return stat.exists() and stat.read_text().rpartition(") ")[2][0] != "Z"
 
 
-async def test_a_program_that_ends_says_its_last_words_and_one_that_is_not_there_is_fatal() -> None:
-    dying = program("import sys\nprint('probe is unplugged', file=sys.stderr)\nsys.exit(3)")
-    with pytest.raises(LinkError, match=r"source s: .* ended with status 3; it last said: probe is unplugged"):
-        await following(dying.cycles())
-    gone = source("process", {"command": ["/nonexistent/reader"]}, {**SENSOR, "field": "t"})
-    with pytest.raises(FatalDriverError, match=r"source s: /nonexistent/reader cannot be started.*process\.command"):
-        await following(ProcessSource(gone, SystemClock()).cycles())
-    assert process.__doc__
-
-
 async def test_a_program_that_floods_makes_no_more_cycles_than_its_period_and_leaves_the_loop_to_others() -> None:
     opened = program("import sys\nwhile True: sys.stdout.write('{\"t\": 20}\\n' * 1000)")
     cycles = opened.cycles()
@@ -393,15 +281,6 @@ async def test_a_program_that_floods_makes_no_more_cycles_than_its_period_and_le
     await opened.close()
 
 
-async def test_rows_that_the_consumer_does_not_take_are_bounded_and_told(tmp_path: Path) -> None:
-    opened = logger(tmp_path / "log.csv")
-    now = SystemClock().now()
-    for step in range(pushing.MOST_WAITING + 36):
-        opened.put_row({7: 20.0}, replace(now, monotonic_s=now.monotonic_s + step * PERIOD_S))
-    assert len(opened._rows) == pushing.MOST_WAITING
-    assert opened._due()[0].faults[0] == "source s: 36 rows dropped, more came than can be taken: check what sends them"
-
-
 # --- MQTT and OPC UA --------------------------------------------------------------------
 
 
@@ -410,13 +289,6 @@ def test_any_message_gives_numbers_or_a_reason(payload: Any) -> None:
     for field in ("", "a.b"):
         for reading in numbers_in(payload, {7: field}).values():
             assert isinstance(reading, float) or (reading.reason == Reason.UNREADABLE and reading.why)
-
-
-def test_messages_of_devices() -> None:
-    assert numbers_in(b"21.5", {7: ""}) == {7: 21.5}
-    assert numbers_in(b'{"t": {"c": 21.5}}', {7: "t.c", 8: "t.f"}) == {7: 21.5}
-    assert isinstance(numbers_in(b"[" * 100000, {7: ""})[7], NoReading)
-    assert isinstance(numbers_in(b"1" * (LARGEST_BYTES + 1), {7: ""})[7], NoReading)
 
 
 class StillClock(SystemClock):
@@ -518,25 +390,6 @@ def subscribed(port: int, folder: Path, password: str) -> MqttSource:
 
 
 @pytest.mark.wires
-async def test_a_retained_message_is_of_nobody_knows_when_and_a_wrong_password_is_named(
-    broker: int, tmp_path: Path
-) -> None:
-    with pytest.raises(LinkError, match=r"source s: broker 127\.0\.0\.1:\d+: refuses .*`user_name` and"):
-        await following(subscribed(broker, tmp_path, "wrong").cycles())
-    async with aiomqtt.Client("127.0.0.1", broker, username="toolpoint", password="right") as device:
-        await device.publish("m/7", "11.5", retain=True, qos=1)
-        opened = subscribed(broker, tmp_path, "right")
-        waiting = asyncio.ensure_future(following(opened.cycles()))
-        async with asyncio.timeout(PATIENCE_S):
-            while not opened._retained:
-                await asyncio.sleep(0.01)
-        assert not waiting.done()
-        await device.publish("m/7", "21.5", retain=True, qos=1)
-        assert list((await waiting).degc) == [21.5]
-        await opened.close()
-
-
-@pytest.mark.wires
 async def test_a_second_device_at_the_broker_is_told(broker: int, tmp_path: Path) -> None:
     async with aiomqtt.Client("127.0.0.1", broker, username="toolpoint", password="right") as device:
         opened = subscribed(broker, tmp_path, "right")
@@ -553,20 +406,6 @@ async def test_a_second_device_at_the_broker_is_told(broker: int, tmp_path: Path
         assert list(cycle.reason) == [Reason.DUPLICATE_ID] and "between 21.5 and 31.5 degC" in cycle.faults[0]
         waiting.cancel()
         await opened.close()
-
-
-def test_what_goes_over_a_network_says_whether_it_is_encrypted() -> None:
-    plain = {"host": "x"}
-    for driver, section, sensor, exposed in (
-        ("modbus", plain, {"address": 0}, True),
-        ("modbus", {"serial_port": "/dev/ttyS0"}, {"address": 0}, False),
-        ("mqtt", plain, {"topic": "t"}, True),
-        ("mqtt", {**plain, "tls": True}, {"topic": "t"}, False),
-        ("opcua", {"endpoint": "opc.tcp://x", "namespace_uri": "u"}, {"node": "i=1"}, True),
-        ("kernel", {}, {"path": "/x"}, False),
-    ):
-        words = source(driver, section, {**SENSOR, **sensor}).connection.exposed
-        assert ("NOT encrypted" in words) == exposed, driver
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,6 @@ from drivers.guard.text import GuardStatus, GuardTextError
 
 INCREMENT_UM = 0.1
 ROUNDING_UM = 1e-4
-SLOPE_ALONE_UM = FARTHEST_M * SLOPE["step_um"]
 
 
 @pytest.fixture
@@ -46,32 +45,6 @@ def test_a_slope_counts_for_where_the_axis_stands_and_the_operator_s_own_stays(g
     guard.write(0.0, 0.0)
     settled(guard)
     assert guard.offset_um() == pytest.approx(7.0) and guard.echo_um() == (0.0, 0.0)
-
-
-def test_a_way_that_is_longer_than_a_step_is_gone_step_by_step_and_says_so(guard: PlacedGuard) -> None:
-    guard.stand(0.0)
-    guard.write(0.0, 100.0)
-    settled(guard)
-    assert guard.offset_um() == pytest.approx(7.0 - 25.0)
-    guard.stand(500.0)
-    found = []
-    while guard.call() is GuardStatus.NEARING:
-        found.append(guard.offset_um())
-    moved = [b - a for a, b in zip([-18.0, *found], [*found, guard.offset_um()], strict=True)]
-    assert guard.offset_um() == pytest.approx(7.0 + 25.0)
-    assert max(moved) <= SLOPE_ALONE_UM + ROUNDING_UM and len(moved) <= 50.0 / (SLOPE_ALONE_UM - INCREMENT_UM) + 1
-    assert guard.nc.control.messages_shown == 0, "nothing stops for it"
-
-
-def test_a_slope_goes_step_by_step_as_an_offset_does(guard: PlacedGuard) -> None:
-    guard.stand(500.0)
-    guard.write(0.0, 100.0)
-    before_um, before = guard.offset_um(), 0.0
-    while guard.echo_um()[1] < 99.99:
-        guard.call()
-        assert 0.0 < guard.echo_um()[1] - before <= SLOPE["step_um"]
-        assert guard.offset_um() - before_um <= SLOPE_ALONE_UM + ROUNDING_UM
-        before_um, before = guard.offset_um(), guard.echo_um()[1]
 
 
 @pytest.mark.parametrize("at_mm", [None, -0.01, 500.01])
@@ -196,17 +169,6 @@ def test_the_largest_offset_and_slope_together_reach_the_axis_bound(guard: Place
     guard.write(alone_um, SLOPE["absolute_bound_um"])
     settled(guard)
     assert guard.offset_um() == pytest.approx(Z["absolute_bound_um"])
-
-
-def test_two_slopes_of_two_axes_do_not_disturb_each_other() -> None:
-    names = {"values": {"y": 501, "z": 502, "y_slope": 503, "z_slope": 504}, "enable": 507, "sequence_b": 508}
-    echo = {"y": 512, "z": 513, "y_slope": 517, "z_slope": 518}
-    macros = MacroMapConfig.model_validate(MAP | names | {"writable": ["120", "500-508"], "echo_applied": echo})
-    axes = {"y": Z, "z": Z, "y_slope": SLOPE | {"slope": SLOPE["slope"] | {"of": "y"}}, "z_slope": SLOPE}
-    outputs = CompensationConfig.model_validate({"axes": axes}).outputs
-    text = guard_text(macros, outputs, GUARD.model_copy(update={"dialect": "fanuc"}))
-    assert "#24=#5022-[250.]" in text and "#24=#5023-[250.]" in text
-    assert all(text.count(f"{place}=#598") == 2 for place in ("#599", "#600")), "one place each, one that is planned"
 
 
 def test_the_text_says_what_it_was_made_for_and_without_a_slope_nothing_of_one() -> None:

@@ -5,14 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from config.recordings.recording_map import ColumnError, RecordingMap, load_recording_map, resolve_columns, usual_map
+from config.recordings.recording_map import RecordingMap, load_recording_map, usual_map
 from config.schema.base import ConfigurationError
 from drivers.files.recording_csv import (
     RecordingFileError,
-    read_beginning,
-    read_header,
     read_recording,
-    write_recording,
 )
 
 MAP = RecordingMap(time="t", speed="rpm", temperatures=["t*"], displacements=["c*"])
@@ -66,11 +63,6 @@ def test_millimetres_and_names_of_channels_are_what_the_map_says(tmp_path: Path)
         assert sentence in refusal(tmp_path, content, RecordingMap.model_validate(keys | {key: value}))
 
 
-def test_a_usual_name_with_its_unit_is_the_channel_without(tmp_path: Path) -> None:
-    read = read_recording(written(tmp_path, "utc_s,t1,Z1_um,nose_um,Y1,Y1_um\n0,20,1,2,3,4\n"))
-    assert read.displacement_names == ("Z1", "nose_um", "Y1", "Y1_um")
-
-
 @pytest.mark.parametrize(
     "content",
     [
@@ -106,13 +98,6 @@ def test_times_count_from_the_first_row_in_seconds(tmp_path: Path, unit: str, fi
     recording = read_recording(written(tmp_path, content), recording_map)
     np.testing.assert_allclose(recording.time_s, [0.0, 15.0], atol=1e-6)
     assert recording.speed_rpm is None
-
-
-def test_empty_fields_are_missing_values(tmp_path: Path) -> None:
-    recording = read_recording(written(tmp_path, "t,rpm,c1,t1,t2\n0,,NA,20,\n15,0,1,nan,21\n"), MAP)
-    np.testing.assert_array_equal(recording.temperatures_degc, [[20.0, np.nan], [np.nan, 21.0]])
-    np.testing.assert_array_equal(recording.displacements_um, [[np.nan], [1.0]])
-    np.testing.assert_array_equal(recording.speed_rpm, [np.nan, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -158,27 +143,6 @@ def test_errors_name_file_line_and_column(tmp_path: Path, content: str | bytes, 
     assert sentence in refusal(tmp_path, content)
 
 
-def test_a_file_that_is_not_there_or_no_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(RecordingFileError, match="cannot be opened"):
-        read_recording(tmp_path / "nothing.csv", MAP)
-    with pytest.raises(RecordingFileError, match="cannot be opened"):
-        read_recording(tmp_path, MAP)
-
-
-def test_the_header_alone_can_be_read(tmp_path: Path) -> None:
-    assert read_header(written(tmp_path, GOOD)) == ["t", "rpm", "c1", "t1", "t2"]
-
-
-def test_a_column_has_one_meaning() -> None:
-    header = ["t", "tempo", "c1", "t1"]
-    columns = resolve_columns(RecordingMap(time="t", speed="tempo", temperatures=["t*"], displacements=["c*"]), header)
-    assert columns.temperatures == [3]
-    with pytest.raises(ColumnError, match="c1 would be temperature and displacement at once"):
-        resolve_columns(RecordingMap(time="t", temperatures=["*1"], displacements=["c*"]), header)
-    with pytest.raises(ColumnError, match="is the time already"):
-        resolve_columns(RecordingMap(time="t", speed="t", temperatures=["t*"], displacements=["c*"]), header)
-
-
 def test_a_map_is_yaml_with_errors_by_line_and_key(tmp_path: Path) -> None:
     small = '{time: t, time_unit: s, speed: rpm, temperatures: ["t*"], displacements: ["c*"], sample_s: 60}\n'
     assert load_recording_map(written(tmp_path, small, "map.yaml")) == MAP
@@ -188,17 +152,6 @@ def test_a_map_is_yaml_with_errors_by_line_and_key(tmp_path: Path) -> None:
     text = str(raised.value)
     assert "bad.yaml:4:" in text and "time_unit" in text
     assert "bad.yaml:5:1: colour" in text
-
-
-def test_metadata_before_the_header_change_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "day.csv"
-    columns = {"t": (np.array([0.0, 60.0]), 0), "t1": (np.array([20.5, np.nan]), 2), "c1": (np.array([-1.0, 2.0]), 1)}
-    write_recording(path, {"machine": "mill 7", "note": "two\nlines: one", "seed": 3}, columns)
-    assert path.read_text("utf-8").splitlines()[:3] == ["# machine: mill 7", "# note: two lines: one", "# seed: 3"]
-    found = read_recording(path)
-    assert found.temperatures_degc[:, 0] == pytest.approx([20.5, np.nan], nan_ok=True)
-    assert found.displacements_um[:, 0].tolist() == [-1.0, 2.0]
-    assert not list(tmp_path.glob(".*")), "nothing is left beside it"
 
 
 def test_metadata_alone_are_no_recording_and_errors_count_their_lines(tmp_path: Path) -> None:
@@ -234,28 +187,6 @@ def test_times_are_read_in_the_form_and_the_zone_of_the_map(tmp_path: Path) -> N
     assert times(tmp_path, "2026-03-29T01:59:00", "2026-03-29T03:00:00", **iso) == [0.0, 60.0]
 
 
-def test_a_clock_that_goes_back_in_autumn_is_told_of_the_zone(tmp_path: Path) -> None:
-    autumn = "25.10.2026 02:30:00", "25.10.2026 02:50:00", "25.10.2026 02:10:00"
-    with pytest.raises(RecordingFileError, match="where clocks were set back to winter time there, say time_zone"):
-        times(tmp_path, *autumn, time_format="%d.%m.%Y %H:%M:%S")
-
-
-def test_the_line_by_which_a_spreadsheet_names_its_separator_changes_nothing(tmp_path: Path) -> None:
-    plain = read_recording(written(tmp_path, GOOD), MAP)
-    marked = read_recording(written(tmp_path, "sep=;\r\n" + GOOD.replace(",", ";")), MAP)
-    np.testing.assert_array_equal(marked.temperatures_degc, plain.temperatures_degc)
-
-
-def test_date_and_time_of_day_may_be_two_columns(tmp_path: Path) -> None:
-    content = "day,clock,t1,c1\n31.01.2026,23:59:50,20,1\n01.02.2026,00:00:20,20,1\n"
-    keys = {"time": "clock", "date": "day", "temperatures": ["t1"], "displacements": ["c1"]}
-    both = RecordingMap.model_validate(keys | {"time_format": "%d.%m.%Y %H:%M:%S"})
-    assert read_recording(written(tmp_path, content), both).time_s.tolist() == [0.0, 30.0]
-    assert "'31.01.2026 23:59:50' is not a time of the form %H:%M that" in refusal(
-        tmp_path, content, RecordingMap.model_validate(keys | {"time_format": "%H:%M"})
-    )
-
-
 @pytest.mark.parametrize(
     ("keys", "sentence"),
     [
@@ -284,22 +215,6 @@ def test_decimal_commas_in_quoted_fields_need_the_map(tmp_path: Path) -> None:
     assert "say decimal: ',' in the map" in refusal(tmp_path, content, RecordingMap.model_validate(keys))
     dotted = RecordingMap.model_validate(keys | {"decimal": ","})
     assert "'20.5' is not a number; the map says" in refusal(tmp_path, "t,t1,c1\n0,20.5,1\n", dotted)
-
-
-def test_a_name_with_brackets_is_a_name_before_it_is_a_pattern() -> None:
-    header = ["t", "T [C]", "TC", "T C", "Z (um)"]
-    keys = {"time": "t", "displacements": ["Z (um)"]}
-    named = resolve_columns(RecordingMap.model_validate(keys | {"temperatures": ["T [C]"]}), header)
-    pattern = resolve_columns(RecordingMap.model_validate(keys | {"temperatures": ["T[ C]*"]}), header)
-    assert (named.temperatures, pattern.temperatures) == ([1], [1, 2, 3])
-
-
-def test_units_below_the_header_and_other_encodings_are_read_as_the_map_says(tmp_path: Path) -> None:
-    content = "Zeit;Öl;Weg\ns;°C;µm\n0;20,5;1\n10;20,6;2\n".encode("cp1252")
-    keys = {"time": "Zeit", "temperatures": ["Öl"], "displacements": ["Weg"], "unit_row": True}
-    found = read_recording(written(tmp_path, content), RecordingMap.model_validate(keys | {"encoding": "cp1252"}))
-    assert (found.temperature_names, found.temperatures_degc[1, 0]) == (("Öl",), 20.6)
-    assert "name its encoding in the map" in refusal(tmp_path, content, RecordingMap.model_validate(keys))
 
 
 def test_times_speeds_and_displacements_are_read_in_the_unit_that_the_map_says(tmp_path: Path) -> None:
@@ -353,27 +268,6 @@ def test_a_day_that_is_read_as_a_month_is_told(tmp_path: Path) -> None:
     assert right.time_s.tolist() == [0.0, 60.0]
 
 
-def test_a_second_row_of_names_is_none_of_units(tmp_path: Path) -> None:
-    content = "Time,Spindle,Temperature,,Displacement\nmin,rpm,T1,T2,Z\n0,0,20,21,1\n1,0,20,21,2\n"
-    keys = {"time": "Time", "time_unit": "min", "temperatures": ["Temperature"], "displacements": ["Displacement"]}
-    found = refusal(tmp_path, content, RecordingMap.model_validate(keys | {"unit_row": True}))
-    assert found.startswith("day.csv:2: 'T2' stands here in column 4, which has no name in the row before: where this")
-    with pytest.raises(RecordingFileError, match="'T2' stands here in column 4"):
-        read_beginning(written(tmp_path, content), 5)
-    indexed = written(tmp_path, ",t,T1,Z\n0,0,20,1\n1,60,20,2\n")
-    assert read_beginning(indexed, 5)[0] == ["", "t", "T1", "Z"], "a number of the row needs no name"
-
-
-def test_texts_that_stand_for_missing_values_are_those_of_the_map(tmp_path: Path) -> None:
-    content = "t,T1,z\n0,OL,1\n60,20,---\n"
-    keys = {"time": "t", "temperatures": ["T1"], "displacements": ["z"]}
-    said = refusal(tmp_path, content, RecordingMap.model_validate(keys))
-    assert "'OL' is not a number; where it stands for a missing value, say missing: ['OL'] in the map" in said
-    found = read_recording(written(tmp_path, content), RecordingMap.model_validate(keys | {"missing": ["OL", "---"]}))
-    np.testing.assert_array_equal(found.temperatures_degc[:, 0], [np.nan, 20.0])
-    np.testing.assert_array_equal(found.displacements_um[:, 0], [1.0, np.nan])
-
-
 ROW_OF_UNITS = "Zeit;Öl;Weg\nmin;°C;mm\n0;20,5;0,001\n1;20,6;0,002\n"
 
 
@@ -401,17 +295,6 @@ def test_a_row_of_units_that_contradicts_the_map_is_refused(
     keys = {"time": "Zeit", "temperatures": ["Öl"], "displacements": ["Weg"], "unit_row": True} | said
     found = refusal(tmp_path, ROW_OF_UNITS.replace("min;°C;mm", units), RecordingMap.model_validate(keys))
     assert found.startswith("day.csv:2: ") and sentence in found
-
-
-@pytest.mark.parametrize(
-    "units", ["min;°C;mm", "[min];degC;[mm]", "Minuten;(°C);Millimeter", "-;;", "min;K", "", "min"]
-)
-def test_a_row_of_units_that_fits_or_says_nothing_is_read_over(tmp_path: Path, units: str) -> None:
-    keys = {"time": "Zeit", "time_unit": "min", "temperatures": ["Öl"], "displacements": ["Weg"], "unit_row": True}
-    given = RecordingMap.model_validate(keys | {"displacement_units": {"*": "mm"}})
-    found = read_recording(written(tmp_path, ROW_OF_UNITS.replace("min;°C;mm", units)), given)
-    np.testing.assert_allclose(found.time_s, [0.0, 60.0])
-    np.testing.assert_allclose(found.displacements_um[:, 0], [1.0, 2.0])
 
 
 def test_a_unit_in_a_name_counts_where_the_map_does_not_say_the_unit(tmp_path: Path) -> None:
@@ -451,25 +334,6 @@ def test_temperatures_in_other_units_are_read_in_degrees_celsius(
     np.testing.assert_allclose(found.temperatures_degc, np.column_stack([degc, (100.0, 200.0)]), atol=1e-9)
 
 
-def test_a_unit_in_the_name_of_a_temperature_counts_where_it_is_beyond_doubt(tmp_path: Path) -> None:
-    keys = {"time": "t", "temperatures": ["Oil*"], "displacements": ["c1"]}
-    refused = refusal(tmp_path, "t,Oil [°F],c1\n0,68,0\n60,70,1\n", RecordingMap.model_validate(keys))
-    assert (
-        "column 'Oil [°F]' is in degF, by its name, and is read in degC: say temperature_units: {'Oil [°F]': degF}"
-        in (refused)
-    )
-    front = read_recording(written(tmp_path, "t,Oil_F,c1\n0,20,0\n60,21,1\n"), RecordingMap.model_validate(keys))
-    assert front.temperatures_degc[1, 0] == 21.0
-    said = RecordingMap.model_validate(keys | {"temperature_units": {"Water": "degF"}})
-    assert "temperature_units: no temperature column matches 'Water'" in refusal(tmp_path, "t,Oil,c1\n0,1,0\n", said)
-
-
-def test_empty_fields_beyond_the_header_change_nothing_and_others_are_refused(tmp_path: Path) -> None:
-    rows = [f"{line},," if n else line for n, line in enumerate(GOOD.splitlines())]
-    np.testing.assert_array_equal(read_recording(written(tmp_path, "\n".join(rows)), MAP).time_s, [0.0, 15.0])
-    assert "has 7 fields where the header has 5" in refusal(tmp_path, "\n".join(rows) + "7\n")
-
-
 def test_dates_as_a_spreadsheet_counts_them_are_days_and_never_seconds(tmp_path: Path) -> None:
     content = "t,c1,t1\n45992.3125,0.5,20\n45992.3128472,0.75,20.5\n45992.3131944,1,21\n"
     said = refusal(tmp_path, content, None)
@@ -482,16 +346,3 @@ def test_dates_as_a_spreadsheet_counts_them_are_days_and_never_seconds(tmp_path:
     np.testing.assert_allclose(read.time_s, [0.0, 30.0, 60.0], atol=0.01)
     later = "t,c1,t1\n45992,0.5,20\n46022,0.75,20.5\n"
     assert read_recording(written(tmp_path, later)).time_s.tolist() == [0.0, 30.0], "seconds since midnight"
-
-
-@pytest.mark.parametrize(
-    ("header", "key"),
-    [
-        (["t", "Weg Z [µm]", "Bett [°C]"], "temperatures: column 'Weg Z [µm]' is among the displacements"),
-        (["t", "Bett", "Nase (degC)"], "displacements: column 'Nase (degC)' is among the temperatures"),
-    ],
-)
-def test_a_map_that_contradicts_the_unit_in_a_name_is_refused(header: list[str], key: str) -> None:
-    with pytest.raises(ColumnError) as raised:
-        resolve_columns(RecordingMap(time="t", temperatures=[header[1]], displacements=[header[2]]), header)
-    assert str(raised.value).startswith(key)

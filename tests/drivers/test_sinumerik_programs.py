@@ -5,7 +5,6 @@ from guard_bench import AXES, CLOCK_S, MAP, GuardBench
 
 from config.schema.cnc import RequestMacrosConfig
 from config.schema.guard import VACANT_R, GuardConfig
-from drivers.guard.programs import guard_text
 from drivers.guard.text import GuardPrograms, GuardStatus
 from drivers.sim.nc.nc import MacroTable
 from drivers.sim.nc.safe_point import SafePointApplication
@@ -73,16 +72,6 @@ def test_jumps_blocks_and_definitions() -> None:
     assert [macros.get(number) for number in (500, 501, 502)] == [None, 4.0, None]
 
 
-def test_real_numbers_are_equal_as_on_the_control() -> None:
-    assert ran("IF R500+R501==0.3", "R502=1", "ENDIF", r500=0.1, r501=0.2).get(502) == 1.0
-    assert ran("IF R500==R501", "R502=1", "ENDIF", r500=1.0, r501=1.0 + 1e-9).get(502) is None
-
-
-def test_a_vacant_parameter_is_a_number_that_stands_for_it() -> None:
-    assert ran("R500=R501", "R502=0", "R503=-999999999", r503=1.0).get(503) is None
-    assert ran("R500=R501+1").get(500) == VACANT_R + 1
-
-
 @pytest.mark.parametrize(
     "line",
     [
@@ -136,24 +125,6 @@ def test_an_archive_that_is_none_is_refused(archive: str, words: str) -> None:
 # --- the text ----------------------------------------------------------------------------
 
 
-def test_the_archive_holds_every_program_and_only_what_a_control_takes() -> None:
-    text = guard_text(REQUESTED, AXES, GUARD, machine="mill (7) no. 3")
-    assert set(compile_archive(text)) == {f"TP{number}" for number in (9010, 9011, 9012, 9013, 9014, 9015)}
-    assert text.isascii() and max(len(line) for line in text.splitlines()) <= 120
-    assert ";MACHINE MILL  7  NO. 3\n" in text and ";EXPIRED KEEP AND MESSAGE, AHEAD AT MOST 120. S" in text
-    assert set(compile_archive(guard_text(MAP, AXES, GUARD))) == {f"TP{number}" for number in (9010, 9011, 9015)}
-
-
-def test_only_parameters_of_the_map_and_of_the_guard_are_written() -> None:
-    import re
-
-    text = guard_text(MAP, AXES, GUARD)
-    written = {int(number) for number in re.findall(r"^R(\d+)=", text, re.MULTILINE)}
-    written |= {int(number) for number in re.findall(r"DO \$R(\d+)=", text)}
-    echo = {*MAP.echo_applied.values(), MAP.echo_time, MAP.echo_status, MAP.echo_guard_version}
-    assert written == echo | {MAP.valid_until, 580, 581} | set(range(590, 597))
-
-
 # --- what only this guard does -----------------------------------------------------------
 
 
@@ -171,14 +142,6 @@ def test_a_control_that_does_not_act_on_the_setting_data_is_noticed(bench: Guard
     assert bench.message == "TOOLPOINT MD32750 OR MD32760 OFF"
     bench.write(z=5.0, enable=0.0)
     assert bench.call() is GuardStatus.DISABLED
-
-
-def test_other_bits_of_the_compensation_type_do_not_stand_for_bit_0(bench: GuardBench) -> None:
-    bench.nc.control.compensation_types["X"] = 6
-    bench.write(z=5.0)
-    assert bench.call() is GuardStatus.SWITCHED_OFF
-    bench.nc.control.compensation_types["X"] = 7
-    assert bench.call() is GuardStatus.APPLIED
 
 
 @pytest.mark.parametrize("after_s", [0.0, 5.0, 1e5])
@@ -294,14 +257,6 @@ def test_a_request_that_is_none_asks_nothing(arguments: dict[str, float]) -> Non
     control.ask(**arguments)
     assert control.macros.get(520) == 0.0
     assert control.nc.control.alarm == (120, "TOOLPOINT REQUEST WRONG")
-
-
-def test_a_request_without_an_answer_ends_and_is_no_longer_waiting() -> None:
-    control = Asked(request_timeout_s=2.0)
-    assert control.ask(answer=None, K=1.0)[0] == 0.0
-    assert list(control.nc.control.messages) == ["TOOLPOINT GIVES NO ANSWER"]
-    control.ask(answer=-1.0, K=1.0)
-    assert control.nc.control.messages[-1] == "TOOLPOINT REFUSES REQUEST"
 
 
 def test_an_old_answer_and_a_foreign_counter_are_none_to_a_new_request() -> None:

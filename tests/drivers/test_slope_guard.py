@@ -31,13 +31,6 @@ def test_a_slope_moves_the_axis_by_where_it_stands_and_the_operator_s_own_stays(
     assert guard.moved_um(500.0) == pytest.approx(7.0 + 0.25 * 30.0)
 
 
-def test_a_slope_goes_step_by_step_as_an_offset_does(guard: SlopedGuard) -> None:
-    guard.write(0.0, 100.0)
-    for applied in (20.0, 40.0, 60.0, 80.0, 100.0, 100.0):
-        assert guard.call() is GuardStatus.APPLIED
-        assert guard.echo_um()[1] == pytest.approx(applied)
-
-
 def test_a_slope_beyond_its_bound_moves_nothing(guard: SlopedGuard) -> None:
     guard.write(4.0, 121.0)
     assert guard.call() is GuardStatus.OVERSIZE

@@ -9,7 +9,6 @@ import yaml
 from click.testing import CliRunner
 from speed_machine import MACROS, speed_machine
 
-from config.machines import shipped_file
 from config.schema import Configuration
 from daemon.cli import main
 from daemon.spindle_speed.macro_block import (
@@ -161,13 +160,6 @@ def test_a_pair_for_another_operation_is_left_alone(bench: SpeedBench, other: di
     assert bench.call()[2] is SpeedStatus.APPLIED
 
 
-def test_an_operation_without_depth_and_width_is_one_of_its_own(bench: SpeedBench) -> None:
-    bench.write(replace(PAIR, made_for=replace(OPERATION, depth_mm=0.0, radial_mm=0.0)))
-    assert bench.call()[2] is SpeedStatus.ANOTHER
-    bench.interpreter.run(9020, S=9000.0, F=1800.0)
-    assert bench.control.spindle_rpm == 9400.0
-
-
 def test_no_look_in_between_takes_a_call_half_told(bench: SpeedBench) -> None:
     """After every single block of the program the daemon would read a whole call, old or new, or none."""
     bench.call()
@@ -213,24 +205,6 @@ def test_the_tool_s_own_limit_stands_in_the_text(kind: type[SpeedBench], tmp_pat
     bench.control.tool_number = 2
     bench.write(replace(PAIR, made_for=replace(OPERATION, tool_number=2.0)))
     assert bench.call() == (9400.0, 1880.0, SpeedStatus.APPLIED)
-
-
-def test_the_text_s_number_follows_its_limits(kind: type[SpeedBench], tmp_path: Path) -> None:
-    machines = [
-        in_dialect(speed_machine(tmp_path, **changes), kind.dialect)
-        for changes in ({}, {}, {"max_change_percent": 19.0})
-    ]
-    numbers = [speed_text_number(each) for each in machines]
-    assert numbers[0] == numbers[1] != numbers[2]
-    assert f"TEXT {numbers[0]}" in speed_program(machines[0])
-
-
-def test_another_variable_may_hold_the_tool(kind: type[SpeedBench], tmp_path: Path) -> None:
-    bench = kind(tmp_path, tool_variable=700)
-    bench.write(PAIR)
-    assert bench.call()[2] is SpeedStatus.ANOTHER
-    bench.macros.set(700, 1.0)
-    assert bench.call()[2] is SpeedStatus.APPLIED
 
 
 @pytest.mark.parametrize(
@@ -327,14 +301,6 @@ def test_without_a_variable_for_the_check_there_is_no_text(kind: type[SpeedBench
         speed_program(in_dialect(speed_machine(tmp_path, macros=unchecked), kind.dialect))
 
 
-def test_a_plain_feed_must_be_the_programmed_one(kind: type[SpeedBench], tmp_path: Path) -> None:
-    bench = kind(tmp_path, keep_feed_per_tooth=False)
-    bench.write(PAIR)
-    assert bench.call() == (*PROGRAMMED, SpeedStatus.OUT_OF_BOUNDS)
-    bench.write(replace(PAIR, feed_mm_min=1800.0))
-    assert bench.call() == (9400.0, 1800.0, SpeedStatus.APPLIED)
-
-
 @pytest.mark.parametrize("code", [93, 95])
 def test_a_feed_that_is_not_per_minute_is_an_alarm(bench: SpeedBench, code: int) -> None:
     bench.write(PAIR)
@@ -346,18 +312,6 @@ def test_a_feed_that_is_not_per_minute_is_an_alarm(bench: SpeedBench, code: int)
     bench.control.alarm = None
     bench.feed_otherwise(94)
     assert bench.call()[2] is SpeedStatus.APPLIED
-
-
-def test_a_whole_speed_at_the_edge_of_the_greatest_change_is_taken(kind: type[SpeedBench], tmp_path: Path) -> None:
-    bench = kind(tmp_path, max_change_percent=20.0)
-    programmed_rpm = 2348.0
-    edge_rpm = float(round(1.2 * programmed_rpm))  # 0.4 1/min above it
-    made_for = replace(OPERATION, speed_rpm=programmed_rpm)
-    feed_mm_min = edge_rpm / programmed_rpm * 1800.0
-    bench.write(replace(PAIR, made_for=made_for, speed_rpm=edge_rpm, feed_mm_min=feed_mm_min))
-    assert bench.call(S=programmed_rpm)[::2] == (edge_rpm, SpeedStatus.APPLIED)
-    bench.write(replace(PAIR, made_for=made_for, speed_rpm=edge_rpm + 1.0, feed_mm_min=feed_mm_min))
-    assert bench.call(S=programmed_rpm)[2] is SpeedStatus.OUT_OF_BOUNDS
 
 
 @pytest.mark.parametrize("arguments", [{"S": 0.0}, {"F": 0.0}, {"D": -1.0}, {"E": -1.0}, {"K": -1.0}])
@@ -398,24 +352,6 @@ def test_a_pair_does_not_outlive_power_off_though_r_parameters_do(tmp_path: Path
     assert bench.call() == (*PROGRAMMED, SpeedStatus.EXPIRED)
 
 
-def test_the_guard_of_a_machine_without_tuning_clears_nothing_more(tmp_path: Path) -> None:
-    bench = SinumerikSpeedBench(tmp_path)
-    without = guard_program(bench.configuration.model_copy(update={"spindle_speed": None}))
-    assert f"\nR{MACROS.valid_until}=-999999999\n" in bench.text
-    assert f"R{MACROS.valid_until}=" not in without
-
-
-@pytest.mark.parametrize("program", [9010, 9015])
-def test_the_number_of_one_of_the_guards_programs_is_refused(tmp_path: Path, program: int) -> None:
-    with pytest.raises(GuardTextError, match=f"TP{program} is one of the guard's, TP9010 to TP9015"):
-        speed_program(in_dialect(speed_machine(tmp_path, program=program), "sinumerik"))
-
-
-def test_linuxcnc_has_no_speed_program(tmp_path: Path) -> None:
-    with pytest.raises(GuardTextError, match="no speed program for LinuxCNC"):
-        speed_program(in_dialect(speed_machine(tmp_path), "linuxcnc"))
-
-
 def test_the_command_prints_the_program_of_the_machine(kind: type[SpeedBench], tmp_path: Path) -> None:
     configuration = in_dialect(speed_machine(tmp_path), kind.dialect)
     path = tmp_path / "machine.yaml"
@@ -426,9 +362,3 @@ def test_the_command_prints_the_program_of_the_machine(kind: type[SpeedBench], t
     refused = CliRunner().invoke(main, ["guard", "--config", str(path), "--speed", "--policy", "zero"])
     assert refused.exit_code == 2
     assert "leave the others out" in refused.stderr
-
-
-def test_the_command_refuses_a_machine_without_tuning() -> None:
-    result = CliRunner().invoke(main, ["guard", "--config", str(shipped_file("cfrpmt.yaml")), "--speed"])
-    assert result.exit_code == 2
-    assert "no section spindle_speed" in result.stderr

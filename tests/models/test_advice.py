@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.recordings.dataset import Recording
-from models.thermal.training.advice import advice, indistinct, worse_channels
+from models.thermal.training.advice import advice, worse_channels
 from models.thermal.training.evaluation import ResidualMetrics
 from models.thermal.training.inputs import Inputs, build_inputs
 
@@ -43,19 +43,6 @@ def test_few_runs_get_a_number_of_runs_a_length_and_an_alternation() -> None:
     assert "record 3 more runs of about 3 h" in sentence and "standing still" in sentence
 
 
-def test_one_short_run_is_told_both() -> None:
-    few, short = said(inputs(1, 70), 0)
-    assert few.startswith("no whole run") and "record 5 more runs of about 4 h" in few
-    assert "the longest run lasts 69 min" in short and "one run of 4 h" in short
-
-
-def test_blocks_of_one_run_are_no_whole_runs() -> None:
-    assert said(inputs(1, 180), 5)[0].startswith("no whole run"), "five blocks without spindle speed"
-    assert said(inputs(2, 180), 5)[0].startswith("2 whole runs or cycles can be left out")
-    (one_more,) = said(inputs(4, 180), 4)
-    assert "record 1 more run of about 3 h, from a machine at rest" in one_more
-
-
 def test_a_channel_that_is_no_better_with_the_model_is_named_with_what_to_do() -> None:
     columns = np.array([[30.0, 4.0, 0.0], [90.0, 9.0, 0.0], [2.0, 5.0, 0.0], [6.0, 12.0, 0.0]])
     metrics = ResidualMetrics(
@@ -77,10 +64,3 @@ def test_a_channel_that_never_moves_is_named_and_one_with_gaps_is_not() -> None:
     whole = inputs(5, 180)
     gaps = np.where(np.arange(whole.rows)[:, None] % 7 == 0, np.nan, whole.measured_um)
     assert said(replace(whole, measured_um=gaps), 5) == ()
-
-
-def test_runs_that_would_tell_families_apart_are_counted_in_all_where_some_are_asked_for_already() -> None:
-    """ "record 2 more runs", and in the next line "record 5 more runs"."""
-    same = {"ridge": 0.05, "lags": 0.051}
-    assert "record 5 more runs in all, each at speeds" in indistinct("ridge", same, 3)[0]
-    assert "record 2 more runs, each at speeds" in indistinct("ridge", same, 6)[0]

@@ -79,16 +79,6 @@ def test_a_model_that_is_released_while_a_tool_setting_settles_moves_nothing():
     assert machine.applied == pytest.approx([4.0, 21.0], abs=0.02)
 
 
-def test_a_tool_set_on_one_axis_leaves_alone_what_another_counts_from():
-    machine = Machine().following()
-    machine.set(thermal_error_um=np.array([-4.53, -20.0])).step(60)
-    machine.applied = np.round(machine.applied, 1)  # as the control does
-    baseline_um = machine.memory.baseline_um.copy()
-    machine.step(tool_setting=(False, True), guard=False).step(60, guard=False)
-    assert machine.memory.baseline_um[0] == baseline_um[0]
-    assert machine.step(60).applied[0] == pytest.approx(4.53, abs=0.02), "a setting on z moves nothing on y"
-
-
 # --- probes ------------------------------------------------------------------------------
 
 
@@ -179,10 +169,6 @@ def test_nothing_that_is_measured_in_a_fault_counts_after_it(acknowledged):
 
 
 # --- confidence --------------------------------------------------------------------------
-
-
-def test_the_weight_is_linear_between_the_two_limits():
-    assert [weight_of(c, LIMITS) for c in (0.5, 0.6, 0.7, 0.8, 1.0)] == pytest.approx([0.0, 0.0, 0.5, 1.0, 1.0])
 
 
 def test_between_cuts_the_weight_scales_the_estimate_but_not_the_baseline():

@@ -11,13 +11,10 @@ from models.errors import StabilityError
 from models.records import FloatArray
 from models.stability.chatter import (
     ChatterMonitor,
-    ChatterSettings,
     detect_chatter,
     speed_warning,
     summarise,
 )
-from models.stability.signal_checks import check_clipping
-from models.stability.spectra import short_time_spectra, standing_spectrum
 
 RATE_HZ = 6400.0
 RNG = np.random.default_rng(8)
@@ -57,13 +54,6 @@ def test_a_line_elsewhere_is_chatter(speed_rpm: float, chatter_hz: float, amplit
     assert verdict.frequency_hz == pytest.approx(chatter_hz, abs=0.5)
 
 
-def test_a_speed_that_is_a_little_off_raises_no_alarm() -> None:
-    for true_rpm in (5976.0, 6024.0):
-        verdict = detect_chatter(forced(true_rpm, 4.0), RATE_HZ, 6000.0, 4)
-        assert not verdict.chatter
-        assert verdict.tooth_passing_hz == pytest.approx(true_rpm / 15.0, rel=5e-4)
-
-
 def test_noise_alone_and_a_resonance_in_noise_are_no_chatter() -> None:
     noise = RNG.normal(size=int(8 * RATE_HZ))
     assert not detect_chatter(noise, RATE_HZ, 6000.0, 4).chatter
@@ -97,14 +87,6 @@ def test_the_monitor_says_the_same_whatever_the_pieces() -> None:
         place += size
     assert monitor.alarm
     assert summarise(frames) == whole
-
-
-def test_spectra_carry_the_power_of_the_signal() -> None:
-    noise = RNG.normal(size=int(20 * RATE_HZ))
-    frames = short_time_spectra(noise, RATE_HZ)
-    mean = np.mean([frame.power_density for frame in frames], axis=0)
-    assert float(mean.sum() * frames[0].frequency_hz[1]) == pytest.approx(float(noise.var()), rel=0.02)
-    assert len(frames[0].frequency_hz) == 2049
 
 
 def test_the_simulated_cut_is_judged_as_it_is() -> None:
@@ -150,35 +132,10 @@ def test_short_clipped_and_unreachable_recordings_are_refused() -> None:
         summarise([])
 
 
-@pytest.mark.parametrize("decimals", [2, 4, 9])
-def test_rounded_signals_are_not_taken_for_clipped(decimals: int) -> None:
-    check_clipping(np.round(tone(400.0, 2.0, 1.0), decimals))
-    check_clipping(np.round(tone(400.0, 2.0, 1.0) + tone(609.0, 2.0, 0.8), decimals))
-    check_clipping(np.round(forced(6000.0, 2.0), decimals))
-
-
-def test_settings_decide_what_counts() -> None:
-    signal = forced(6000.0, 3.0) + tone(609.0, 3.0, 1.0)
-    assert not detect_chatter(signal, RATE_HZ, 6000.0, 4, ChatterSettings(power_ratio=1.0)).chatter
-
-
 @pytest.mark.parametrize("level", [0.0, 3.5])
 def test_a_dead_accelerometer_is_no_verdict(level: float) -> None:
     with pytest.raises(StabilityError, match="check the sensor"):
         detect_chatter(np.full(12800, level), 6400.0, 6000.0, 2)
-
-
-@pytest.mark.parametrize("speed_rpm", [1.0, 60.0, 300.0])
-def test_harmonics_that_lie_too_close_are_no_verdict(speed_rpm: float) -> None:
-    with pytest.raises(StabilityError, match="cannot be told from the cut"):
-        detect_chatter(tone(873.0, 2.0, 1.0), 6400.0, speed_rpm, 2)
-
-
-@pytest.mark.parametrize("scale", [1e-300, 1e-12, 1e12, 1e300])
-def test_what_no_accelerometer_reads_is_no_verdict(scale: float) -> None:
-    signal = (forced(6000.0, 2.0) + tone(655.3, 2.0, 5.0)) * scale
-    with pytest.raises(StabilityError, match="which no accelerometer reads"):
-        detect_chatter(signal, RATE_HZ, 6000.0, 4)
 
 
 JUDGED = range(1, 61, 2)
@@ -213,8 +170,3 @@ def test_a_speed_that_the_recording_contradicts_is_said() -> None:
     assert off is not None and "shows 6000 1/min, +2.0 %" in off
     lost = speed_warning(detect_chatter(signal, RATE_HZ, 5810.0, 4), 5810.0, 4)
     assert lost is not None and "check speed and teeth" in lost
-
-
-def test_one_depth_says_nothing_of_what_stands_still() -> None:
-    with pytest.raises(StabilityError, match="two depths or more"):
-        standing_spectrum([forced(6000.0, 2.0)], RATE_HZ)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from models.errors import StabilityError
 from models.stability.collocation import follows, passing_maps, radius_bounds, spectral_radii
 from models.stability.milling import Cut, MillingMode, engagement_rad
-from models.stability.response import ModalResponse, Mode, mode_from_residue, mode_from_stiffness
+from models.stability.response import ModalResponse, mode_from_residue, mode_from_stiffness
 from models.stability.semi_discretisation import fine_steps, semi_discretisation, spectral_radius
 from models.stability.state_space import state_space
 
@@ -102,28 +102,3 @@ def test_limits_end_the_squaring_early_and_change_no_verdict() -> None:
             assert bool(np.all(upper <= limit)) is bool(np.all(fine <= limit))
             assert bool(np.all(lower <= fine * (1.0 + 1e-9)))
             assert bool(np.all(upper >= fine * (1.0 - 1e-3)))
-
-
-def test_without_depth_the_radius_is_that_of_the_slowest_mode() -> None:
-    _, upper = radius_bounds(MODES, HALF, feeds_deg=[0.0], speeds_rpm=[7000.0], depth_mm=1e-9)
-    slowest: Mode = min(MODES.modes(), key=lambda mode: mode.damping_ratio * mode.angular_rad_s)
-    free = np.exp(-slowest.damping_ratio * slowest.angular_rad_s * 60.0 / (7000.0 * 4))
-    assert upper[0, 0] == pytest.approx(free, rel=1e-3)
-
-
-def test_heavy_damping_and_depths_beyond_all_numbers() -> None:
-    heavy = ModalResponse(xx=(replace(MODES.xx[0], damping_ratio=1.0), replace(MODES.xx[0], damping_ratio=1.4)))
-    _, upper = radius_bounds(heavy, HALF, feeds_deg=[0.0], speeds_rpm=[7000.0], depth_mm=1.0)
-    assert upper[0, 0] == pytest.approx(discretised(heavy, HALF, 0.0, 7000.0, 1.0), abs=1e-3)
-    lower, upper = radius_bounds(MODES, HALF, feeds_deg=[0.0], speeds_rpm=[7000.0], depth_mm=1e300)
-    assert upper[0, 0] > 1.0
-
-
-def test_what_has_no_answer_is_refused() -> None:
-    asked = {"feeds_deg": [0.0], "depth_mm": 1.0}
-    with pytest.raises(StabilityError, match="both directions are rigid"):
-        radius_bounds(ModalResponse(), HALF, speeds_rpm=[7000.0], **asked)
-    with pytest.raises(StabilityError, match="above 0"):
-        radius_bounds(MODES, HALF, speeds_rpm=[7000.0, 0.0], **asked)
-    with pytest.raises(StabilityError, match="vibrates too often"):
-        radius_bounds(MODES, HALF, speeds_rpm=[100.0], **asked)

@@ -105,11 +105,6 @@ def test_an_echo_from_before_the_start_leads_to_hold_with_that_value():
     assert command.compensation_um[1] == pytest.approx(12.0, abs=0.1)
 
 
-def test_a_vacant_echo_cannot_start():
-    with pytest.raises(ValueError, match="vacant"):
-        started(applied=(np.nan, 0.0))
-
-
 def test_setting_a_reference_moves_nothing_and_makes_the_applied_value_the_baseline():
     memory, command = active()
     before = command.compensation_um.copy()

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from models.stability.cutting_coefficients import MATERIALS, USUAL_CHIP_MM, orthogonal_coefficients, tangent_of_kienzle
+from models.stability.cutting_coefficients import MATERIALS, USUAL_CHIP_MM, orthogonal_coefficients
 
 
 @pytest.mark.parametrize(("name", "specific", "exponent"), [("c45", 2220.0, 0.14), ("gg25", 1160.0, 0.26)])
@@ -20,12 +20,6 @@ def test_the_line_touches_kienzles_law(name: str, specific: float, exponent: flo
     assert slope == pytest.approx(steep, rel=1e-6)
     assert known.radial_ratio == pytest.approx(0.3)
     assert "assumed" in known.source
-
-
-def test_without_an_exponent_there_is_no_edge() -> None:
-    straight = tangent_of_kienzle("straight", 1000.0, 0.0, 0.3, "a test")
-    assert straight.tangential_n_per_m2 == pytest.approx(1e9)
-    assert straight.tangential_edge_n_per_m == 0.0
 
 
 def test_the_shear_plane_carries_its_stress_and_the_rake_face_its_friction() -> None:

@@ -116,15 +116,6 @@ def test_minutes_that_are_counted_as_seconds_are_told_by_how_soon_most_temperatu
     assert "time_unit" not in sentences(nozzle), "two sensors in the jet are not the machine"
 
 
-def test_an_empty_column_is_refused() -> None:
-    with pytest.raises(DatasetError, match=r"day\.csv: column c2: no value at all"):
-        require_usable(spoilt("displacements_um", 1, slice(None), np.nan))
-
-
-def test_a_constant_sensor_is_a_warning() -> None:
-    assert "column t3: constant at 21.5" in sentences(spoilt("temperatures_degc", 2, slice(None), 21.5))
-
-
 def test_a_gap_is_a_warning_that_names_the_row_after_it() -> None:
     times = recording().time_s.copy()
     times[30:] += 3600.0
@@ -132,22 +123,6 @@ def test_a_gap_is_a_warning_that_names_the_row_after_it() -> None:
     assert "column time, row 31: a gap of 3660 s" in said and "summer time there, say time_zone" in said
     later = times + np.where(np.arange(len(times)) < 30, 0.0, 60.0)
     assert "summer time" not in sentences(replace(recording(), time_s=later))
-
-
-def test_of_many_gaps_the_longest_is_named_and_none_that_is_bridged() -> None:
-    good = recording()
-    steps = np.diff(good.time_s, prepend=good.time_s[0])
-    steps[10], steps[20], steps[30] = 1200.0, 7000.0, 500.0
-    said = sentences(replace(good, time_s=np.cumsum(steps)))
-    assert "row 21: a gap of 7000 s before this row (2 gaps beyond 10 min, the longest here)" in said
-    assert said.count("a gap of") == 1
-    odd = np.cumsum(np.where(np.arange(len(steps)) % 3 == 0, 40.0, 15.0))
-    assert "gap" not in sentences(replace(good, time_s=odd)), "odd sampling is normal"
-
-
-def test_fewer_rows_than_variables_are_refused() -> None:
-    with pytest.raises(DatasetError, match="20 rows cannot determine 30 variables"):
-        require_usable(recording(rows=20, sensors=30))
 
 
 def test_kelvin_millimetres_and_raw_counts_are_recognised() -> None:
@@ -190,36 +165,6 @@ def test_a_single_impossible_temperature_is_named_and_counts_as_missing(value: f
     assert len(recording_findings(several)) == 1, "it is said once"
 
 
-def test_single_impossible_displacements_and_speeds_are_named_and_count_as_missing() -> None:
-    bad = spoilt("displacements_um", 0, 7, 1e9)
-    assert "column c1, row 8: 1e+09 um cannot be" in sentences(bad)
-    assert np.isnan(bad.without_impossible().displacements_um[7, 0])
-    speeds = recording().speed_rpm
-    assert speeds is not None
-    bad = replace(recording(), speed_rpm=np.where(np.arange(60) == 3, 9.9e37, speeds))
-    assert "column spindle speed, row 4: 9.9e+37 1/min cannot be" in sentences(bad)
-    possible = bad.without_impossible().speed_rpm
-    assert possible is not None and np.isnan(possible[3])
-
-
-def test_a_good_recording_is_possible_as_it_is() -> None:
-    good = recording()
-    assert good.without_impossible() is good
-
-
-def test_rows_are_named_as_the_file_counts_them() -> None:
-    part = spoilt("temperatures_degc", 1, 44, 850.0).part(30, 60)
-    assert "column t2, row 45: 850 degC cannot be" in sentences(part)
-
-
-def test_fahrenheit_is_recognised_by_a_workshop_that_warm() -> None:
-    good = recording()
-    with pytest.raises(DatasetError, match=r"column t\d, row \d+: .* is the lowest of all temperatures.*degF"):
-        require_usable(replace(good, temperatures_degc=good.temperatures_degc * 1.8 + 32.0))
-    with pytest.raises(DatasetError, match="column t2: a median of -242 cannot be degC; is it connected"):
-        require_usable(spoilt("temperatures_degc", 1, slice(None), -242.0))
-
-
 def test_parts_keep_the_clock_of_the_whole() -> None:
     part = recording().between_hours(0.25, 0.5)
     np.testing.assert_array_equal(part.time_s[[0, -1]], [900.0, 1740.0])
@@ -228,13 +173,6 @@ def test_parts_keep_the_clock_of_the_whole() -> None:
         recording().between_hours(3.0, 4.0)
     with pytest.raises(DatasetError, match="run backwards"):
         recording().between_hours(2.0, 1.0)
-
-
-def test_channels_are_chosen_by_name() -> None:
-    chosen = recording().with_channels(("c2",))
-    np.testing.assert_array_equal(chosen.displacements_um[:, 0], recording().displacements_um[:, 1])
-    with pytest.raises(DatasetError, match="no displacement channel c9; there are c1, c2"):
-        recording().with_channels(("c9",))
 
 
 def test_down_sampling_averages_every_column_and_never_adds_rows() -> None:
@@ -246,15 +184,6 @@ def test_down_sampling_averages_every_column_and_never_adds_rows() -> None:
     assert minutes.speed_rpm is not None and fine.speed_rpm is not None
     np.testing.assert_allclose(minutes.speed_rpm[3], fine.speed_rpm[12:16].mean())
     assert minutes.downsampled(10.0) is minutes
-
-
-def test_rows_of_recordings_that_are_used_together_count_together() -> None:
-    short = recording(rows=20, sensors=30)
-    with pytest.raises(DatasetError, match="20 rows cannot determine 30 variables"):
-        require_usable(short)
-    with pytest.raises(DatasetError, match="30 rows cannot determine 30 variables"):
-        require_usable(short, 30)
-    require_usable(short, 40)
 
 
 def test_a_speed_column_without_any_value_is_refused_and_not_taken_for_standstill() -> None:

@@ -7,10 +7,8 @@ study, from 89 to 67 % of the error within a year.
 from functools import cache
 
 import numpy as np
-import pytest
 from worn_models import year
 
-from models.errors import RefusedInputError
 from models.thermal.drift import FIRST_WEEKS, KEPT, WEEK_D, Drift, drift_of_shares, judge_drift, weekly_shares
 
 FIRST, LAST = 0.11, 0.33
@@ -97,12 +95,3 @@ def test_a_chip_under_the_probe_is_no_drift() -> None:
     spoilt[-20:-18] = 900.0
     one, other = (judge_drift(made.time_d, made.without_um, left) for left in (made.left_um, spoilt))
     assert one is not None and other is not None and abs(one.share - other.share) < 0.1 and not other.retrain
-
-
-def test_arrays_that_do_not_fit_and_bounds_that_are_none_are_refused() -> None:
-    some = np.ones(3)
-    with pytest.raises(RefusedInputError, match="do not fit"):
-        judge_drift(some, some, np.ones(2))
-    for bound in (0.0, -1.0, np.nan, np.inf):
-        with pytest.raises(RefusedInputError, match="share of the error"):
-            judge_drift(some, some, some, bound=bound)

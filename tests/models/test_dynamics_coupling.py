@@ -8,7 +8,6 @@ import pytest
 from receptance_coupling import (
     couple_elastic,
     couple_rigid,
-    couple_side_by_side,
     ground,
     ground_stiffness,
     segment_receptance,
@@ -24,13 +23,8 @@ from models.dynamics.bearings import (
     properties_from_parameters,
 )
 from models.dynamics.chain import Chain, SpringDamper, Support
-from models.dynamics.contact import chain_receptance
 from models.dynamics.modes import (
-    SHAPE_STEP_M,
-    at_points,
     dense_stiffness,
-    modal_assurance,
-    modes,
     natural_frequencies,
 )
 from models.dynamics.section import Elasticity, Tube, beam_segment
@@ -117,13 +111,6 @@ def test_grounding_against_lm_fbs(pair: tuple[ComplexArray, ComplexArray]) -> No
         assert found[index] == pytest.approx(expected, rel=1e-9, abs=1e-9 * abs(expected).max() * 1e-3)
 
 
-def test_a_joint_without_stiffness_leaves_both_parts_alone(pair: tuple[ComplexArray, ComplexArray]) -> None:
-    first, second = pair
-    found = couple_elastic(first, second, SpringDamper(), FREQUENCY_HZ)
-    assert np.array_equal(found[:, :6, :6], first)
-    assert not found[:, :6, 6:].any()
-
-
 def test_coupled_segments_are_the_whole_segment() -> None:
     whole = segment_receptance(tube(160, 60, 20), FREQUENCY_HZ, [0.0, 0.05, 0.12, 0.16])
     parts = couple_rigid(
@@ -131,30 +118,6 @@ def test_coupled_segments_are_the_whole_segment() -> None:
         segment_receptance(tube(40, 60, 20), FREQUENCY_HZ, [0.0, 0.04]),
     )
     assert parts == pytest.approx(whole, rel=1e-7, abs=1e-9 * abs(whole).max())
-
-
-def test_layers_side_by_side_are_the_parallel_section() -> None:
-    """Two slender layers of one material tied at many points against one section (the limit of C-5)."""
-    inner, outer = (tube(300, 20, 0), tube(300, 30, 20))
-    together = Segment(
-        length_m=0.3,
-        mass_kg_per_m=inner.mass_kg_per_m + outer.mass_kg_per_m,
-        rotary_inertia_kgm=inner.rotary_inertia_kgm + outer.rotary_inertia_kgm,
-        bending_stiffness_nm2=inner.bending_stiffness_nm2 + outer.bending_stiffness_nm2,
-        shear_stiffness_n=inner.shear_stiffness_n + outer.shear_stiffness_n,
-        structural_damping=0.003,
-    )
-    errors = []
-    for pieces in (3, 12, 48):
-        offsets = [0.3 * k / pieces for k in range(pieces + 1)]
-        found = couple_side_by_side(*(segment_receptance(each, FREQUENCY_HZ, offsets) for each in (inner, outer)))
-        expected = segment_receptance(together, FREQUENCY_HZ, [0.0, 0.3])
-        errors.append(np.max(np.abs(found[:, 0, 0] / expected[:, 0, 0] - 1.0)))
-    assert errors[0] > 3 * errors[1] > 9 * errors[2]
-    assert errors[2] < 5e-3
-    # twice the same layer is that layer with twice the stiffness, exactly
-    twice = couple_side_by_side(*(segment_receptance(inner, FREQUENCY_HZ, offsets),) * 2)
-    assert 2 * twice == pytest.approx(segment_receptance(inner, FREQUENCY_HZ, offsets), rel=1e-6)
 
 
 def test_condensed_shaft_is_the_literal_formula() -> None:
@@ -181,15 +144,6 @@ def test_condensed_shaft_is_the_literal_formula() -> None:
 
 def free_with_supports() -> Chain:
     return shaft(dict.fromkeys(PROPERTIES, SpringDamper()))
-
-
-def test_condensed_shaft_against_the_dense_assembly_and_the_ends() -> None:
-    chain = shaft()
-    found = CondensedShaft(chain, FREQUENCY_HZ).nose_receptance(PROPERTIES)
-    for index, at in enumerate(FREQUENCY_HZ):
-        stiffness, _ = dense_stiffness(chain, float(at), 0.01, damped=True)
-        assert found[index] == pytest.approx(np.linalg.inv(stiffness)[0, 0], rel=1e-8)
-    assert chain_receptance(chain, FREQUENCY_HZ)[:, 0, 0] == pytest.approx(found, rel=1e-9)
 
 
 @pytest.mark.parametrize("places", [(0.0, 0.5011), (0.0891, 0.0891), (0.2, 0.2541)], ids=["ends", "twice", "border"])
@@ -243,46 +197,6 @@ def test_no_natural_frequency_is_missed_and_none_is_spurious(inertia: str) -> No
         negative.append(int(np.sum(np.linalg.eigvalsh(stiffness * lever[:, None] * lever) < 0.0)))
     # Points 10 mm apart: no part clamped at both its points has a natural frequency here, so the count is complete.
     assert negative == list(range(6))
-
-
-def test_a_shape_at_the_peak_is_nearly_the_mode() -> None:
-    chain = replace(shaft(), supports=())
-    (mode,) = modes(chain, 1)
-    stiffness, position_m = dense_stiffness(chain, mode.frequency_hz, SHAPE_STEP_M, damped=True)
-    deflection = np.linalg.inv(stiffness)[::2, 0]
-    assert position_m == pytest.approx(mode.position_m)
-    assert modal_assurance(deflection, mode.displacement) > 0.9999
-    assert deflection[0] == pytest.approx(CondensedShaft(chain, np.array([mode.frequency_hz])).nose_receptance({})[0])
-
-
-def test_an_elastic_joint_lowers_frequencies_and_a_stiff_one_does_not() -> None:
-    rigid = replace(shaft(), supports=())
-    ranks = natural_frequencies(rigid, 3)
-    parts = list(rigid.parts)
-    for joint, check in ((1e16, 1e-5), (1e8, None)):
-        spring = SpringDamper(kt_n_per_m=joint, kr_nm_per_rad=joint / 100)
-        jointed = Chain(parts=(*parts[:2], spring, *parts[2:]))
-        found = natural_frequencies(jointed, 3)
-        if check:
-            assert found == pytest.approx(ranks, rel=check)
-        else:
-            assert np.all(found < ranks)
-
-
-def test_modal_assurance_uses_conjugates() -> None:
-    shape = np.array([1.0 + 1.0j, 2.0 - 0.5j, -1.0j])
-    assert modal_assurance(shape, shape) == pytest.approx(1.0)
-    assert modal_assurance(shape, shape * np.exp(0.7j) * 3) == pytest.approx(1.0)
-    assert modal_assurance([1.0, 0.0], [0.0, 2.0]) == 0.0  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="zero everywhere"):
-        modal_assurance(np.zeros(3), np.ones(3))
-
-
-def test_modes_of_one_shaft_are_not_alike() -> None:
-    first, second = modes(replace(shaft(), supports=()), 2)
-    wanted = np.linspace(0.0, 0.5, 8)
-    one, two = (at_points(mode.position_m, mode.displacement, wanted) for mode in (first, second))
-    assert modal_assurance(one, two) < 0.4
 
 
 @pytest.mark.parametrize("first_place", [0.0991, 0.0], ids=["bearings behind the nose", "one at the nose"])

@@ -8,11 +8,10 @@ from models.dynamics.beam import Segment
 from models.dynamics.bearings import CondensedShaft, inverse_rows, properties_from_parameters
 from models.dynamics.chain import Chain, SpringDamper, Support
 from models.dynamics.contact import Interface, chain_receptance, identify_contact
-from models.dynamics.identification import FIXED, identify_bearings, kept_beside, kept_parameters
-from models.dynamics.measurement import Measurement, MeasurementError, average, check_for_identification, receptance
+from models.dynamics.identification import FIXED, identify_bearings
+from models.dynamics.measurement import Measurement, MeasurementError, check_for_identification
 from models.dynamics.response_fit import good_fit, line_weights
 from models.dynamics.section import Elasticity, Tube, beam_segment
-from models.errors import IdentificationError
 
 STEEL = Elasticity(young_pa=200e9, shear_pa=76.9e9, poisson=0.3, density_kg_per_m3=7850.0)
 PLACES = (("12", 0.0991), ("12", 0.1271), ("34", 0.1841), ("34", 0.2111), ("5", 0.4371))
@@ -54,12 +53,6 @@ def test_identification_is_exact_on_synthetic_data(shaft: CondensedShaft, parame
         assert found.evaluations < 60
 
 
-def test_least_squares_needs_far_fewer_evaluations_than_the_simplex(shaft: CondensedShaft) -> None:
-    measured = shaft.nose_receptance(properties_from_parameters({**TRUE, **FIXED[5]}))
-    quick, slow = (identify_bearings(shaft, measured, method=each) for each in ("lm", "nelder-mead"))
-    assert 10 * quick.evaluations < slow.evaluations
-
-
 def test_five_parameters_survive_noise(shaft: CondensedShaft) -> None:
     true = {**TRUE, **FIXED[5]}
     random = np.random.default_rng(7)
@@ -68,19 +61,6 @@ def test_five_parameters_survive_noise(shaft: CondensedShaft) -> None:
     for name in found.free:
         assert found.values[name] == pytest.approx(true[name], rel=0.05), name
     assert found.log_error == pytest.approx(0.02 * np.sqrt(2), rel=0.2)
-
-
-@pytest.mark.parametrize("noise", [0.03, 0.06])
-def test_noise_does_not_start_a_search_for_what_was_found(shaft: CondensedShaft, noise: float) -> None:
-    true = {**TRUE, **FIXED[5]}
-    random = np.random.default_rng(11)
-    scatter = 1.0 + noise * (random.standard_normal(500) + 1j * random.standard_normal(500))
-    measured = shaft.nose_receptance(properties_from_parameters(true)) * scatter
-    start = {name: 1.5 * value for name, value in true.items() if name not in FIXED[5]}
-    found = identify_bearings(shaft, measured, start=start)
-    assert found.evaluations < 60
-    for name in found.free:
-        assert found.values[name] == pytest.approx(true[name], rel=4 * noise), name
 
 
 def test_twelve_parameters_fit_but_are_not_all_seen(shaft: CondensedShaft) -> None:
@@ -97,41 +77,6 @@ def test_a_parameter_without_influence_is_not_identifiable(shaft: CondensedShaft
     found = identify_bearings(shaft, shaft.nose_receptance(properties_from_parameters(true)))
     assert not found.identifiable["ct_5"]
     assert found.identifiable["kt_5"]
-
-
-def test_a_shaft_with_one_group_has_only_its_parameters(chain: Chain) -> None:
-    few = Chain(parts=chain.parts, supports=tuple(s for s in chain.supports if s.group != "34"))
-    shaft = CondensedShaft(few, FREQUENCY_HZ)
-    measured = shaft.nose_receptance(properties_from_parameters(TRUE))
-    found = identify_bearings(shaft, measured, parameters=12, start=TRUE)
-    assert not any(name.endswith("_34") for name in found.free)
-    assert found.log_error < 1e-6
-
-
-def test_groups_may_have_any_names_and_any_number(chain: Chain) -> None:
-    names = ("front", "second", "middle", "rear_a")
-    places = zip(names, (0.0991, 0.1841, 0.27, 0.4371), strict=True)
-    supports = tuple(Support(position_m=place, group=group, properties=SpringDamper()) for group, place in places)
-    shaft = CondensedShaft(Chain(parts=chain.parts, supports=supports), FREQUENCY_HZ)
-    true = {f"{kind}_{group}": value for group in names for kind, value in
-            (("kt", 9e7), ("ct", 1.5e3), ("kr", 4e5), ("cr", 8.0))} | {"kt_rear_a": 5e7, "kr_front": 2e6}  # fmt: skip
-    measured = shaft.nose_receptance(properties_from_parameters(true))
-    kept = kept_parameters(names, 12, ["kt", "kr_front"], true)
-    found = identify_bearings(shaft, measured, fixed=kept)
-    assert set(found.free) == {"kt_front", "kt_second", "kt_middle", "kt_rear_a", "kr_front"}
-    for name in found.free:
-        assert found.values[name] == pytest.approx(true[name], rel=1e-4), name
-        low, high = found.interval[name]
-        assert low <= true[name] <= high
-
-
-def test_what_is_varied_may_be_said_by_parameter_kind_or_group() -> None:
-    assert kept_beside(["front", "kt"], ("front", "rear")) == ("ct_rear", "kr_rear", "cr_rear")
-    assert len(kept_beside(["cr_rear"], ("front", "rear"))) == 7
-    with pytest.raises(IdentificationError, match=r"'kt_12' is no bearing parameter .*; there are kt_front"):
-        kept_beside(["kt_12"], ("front", "rear"))
-    with pytest.raises(IdentificationError, match=r"name what is varied [(]--vary kt,ct_front"):
-        kept_parameters(("front", "rear"), 5, (), {})
 
 
 @pytest.mark.parametrize("parameters", [5, 7])
@@ -201,39 +146,9 @@ def test_a_fit_as_good_as_the_noise_is_good(noise: float) -> None:
     assert good_fit(clean * (1.0 + scatter)) == pytest.approx(expected, rel=0.15)
 
 
-def test_accelerance_is_integrated_twice() -> None:
-    at = np.array([100.0, 200.0])
-    omega = 2 * np.pi * at
-    values = np.array([1e-7 + 1e-8j, -2e-8 - 3e-9j])
-    assert receptance("accelerance", at, -(omega**2) * values) == pytest.approx(values)
-    assert receptance("mobility", at, 1j * omega * values) == pytest.approx(values)
-
-
 def measurement(size: float = 1e-7, low: float = 300.0, high: float = 2500.0, points: int = 300) -> Measurement:
     at = np.linspace(low, high, points)
     return Measurement(frequency_hz=at, receptance_m_per_n=size / (1 - (at / 1000) ** 2 + 0.05j))
-
-
-def test_averaging_reduces_noise_and_shows_it_as_coherence() -> None:
-    random = np.random.default_rng(3)
-    clean = measurement()
-    noisy = [
-        Measurement(
-            frequency_hz=clean.frequency_hz,
-            receptance_m_per_n=clean.receptance_m_per_n
-            * (1 + 0.3 * (random.standard_normal(300) + 1j * random.standard_normal(300))),
-        )
-        for _ in range(20)
-    ]
-    mean = average(noisy)
-    assert np.mean(np.abs(mean.receptance_m_per_n / clean.receptance_m_per_n - 1)) < 0.12
-    assert mean.coherence is not None
-    assert np.mean(mean.coherence) == pytest.approx(1 / (1 + 2 * 0.09), abs=0.03)
-    assert len(mean.coherent(0.8).frequency_hz) < 300
-    with pytest.raises(MeasurementError, match="different frequencies"):
-        average([clean, measurement(points=299)])
-    with pytest.raises(MeasurementError, match="not measured"):
-        clean.coherent(0.5)
 
 
 @pytest.mark.parametrize(
@@ -251,8 +166,3 @@ def test_unfit_measurements_are_refused(bad: Measurement, words: str) -> None:
     with pytest.raises(MeasurementError, match=words):
         check_for_identification(bad, 5)
     check_for_identification(measurement(), 12)
-
-
-def test_a_measurement_with_a_hole_is_refused() -> None:
-    with pytest.raises(MeasurementError, match="at 2 Hz the response is zero or not finite"):
-        Measurement(frequency_hz=np.array([1.0, 2.0]), receptance_m_per_n=np.array([1e-7, np.nan], dtype=complex))

@@ -14,12 +14,6 @@ LAMINATE = Material(name="laminate", density_kg_per_m3=1720, young_pa=14.2e9, sh
                     shear_tangential_pa=99.7e9, poisson=None)  # fmt: skip
 
 
-def test_one_material_is_itself() -> None:
-    found = mixed([(STEEL, 1.0)], 0.06, 0.028)
-    assert (found.young_pa, found.density_kg_per_m3, found.poisson) == (200e9, 7850, 0.3)
-    assert found.shear_pa == pytest.approx(76.9e9, rel=1e-12)
-
-
 def test_isotropic_mixture_is_the_rule_of_mixtures() -> None:
     found = mixed([(STEEL, 0.4), (SOFT, 0.6)], 0.06, 0.0)
     assert found.young_pa == pytest.approx(0.4 * 200e9 + 0.6 * 40e9)
@@ -51,29 +45,9 @@ def test_shear_modulus_of_a_laminate_against_quadrature() -> None:
     assert finer.shear_pa == pytest.approx(total / area, rel=0.002)
 
 
-def test_layers_of_one_material_are_that_material() -> None:
-    found = layered([Layer(material=STEEL, outer_m=0.05), Layer(material=STEEL, outer_m=0.08)], 0.03)
-    assert found.young_pa == pytest.approx(200e9)
-    assert found.shear_pa == pytest.approx(76.9e9)
-
-
 def test_youngs_modulus_of_layers_weighs_with_the_second_moment() -> None:
     found = layered([Layer(material=SOFT, outer_m=0.06), Layer(material=STEEL, outer_m=0.08)], 0.02)
     inner, outer = 0.06**4 - 0.02**4, 0.08**4 - 0.06**4
     assert found.young_pa == pytest.approx((40e9 * inner + 200e9 * outer) / (inner + outer))
     areas = 0.06**2 - 0.02**2, 0.08**2 - 0.06**2
     assert found.density_kg_per_m3 == pytest.approx((1600 * areas[0] + 7850 * areas[1]) / sum(areas))
-
-
-def test_stiff_layer_outside_shears_less_than_the_mean_and_more_than_the_softest() -> None:
-    found = layered([Layer(material=SOFT, outer_m=0.06), Layer(material=STEEL, outer_m=0.08)], 0.02)
-    assert 4e9 < found.shear_pa < 0.5 * (4e9 + 76.9e9)
-
-
-def test_what_is_wrong_is_said() -> None:
-    with pytest.raises(ValueError, match=r"sum up to 1, not to 1\.1"):
-        mixed([(STEEL, 0.5), (SOFT, 0.6)], 0.06, 0.0)
-    with pytest.raises(ValueError, match="Poisson's ratio of laminate is not known"):
-        mixed([(STEEL, 0.5), (LAMINATE, 0.5)], 0.06, 0.0)
-    with pytest.raises(ValueError, match="must grow"):
-        layered([Layer(material=STEEL, outer_m=0.06), Layer(material=SOFT, outer_m=0.05)], 0.02)

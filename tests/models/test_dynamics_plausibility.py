@@ -4,16 +4,12 @@ import numpy as np
 import pytest
 
 from models.dynamics.beam import Segment
-from models.dynamics.bearings import CondensedShaft, properties_from_parameters
+from models.dynamics.bearings import CondensedShaft
 from models.dynamics.chain import Chain, SpringDamper, Support
-from models.dynamics.identification import INITIAL, level_range_m_per_n
 from models.dynamics.measurement import Measurement, MeasurementError
 from models.dynamics.plausibility import (
-    check_frequencies,
-    check_level,
     check_tool_point,
     least_mass_kg,
-    level_m_per_n,
     moving_mass_kg,
     other_readings,
 )
@@ -33,11 +29,6 @@ def tool_point(damping: float = 0.02) -> np.ndarray:
 
 def measured(values: np.ndarray, frequency_hz: np.ndarray = AT_HZ) -> Measurement:
     return Measurement(frequency_hz=frequency_hz, receptance_m_per_n=np.asarray(values, dtype=complex))
-
-
-def test_the_moving_mass_is_that_of_the_modes() -> None:
-    expected = 1 / sum(1 / mass for mass in MASSES_KG.values())
-    assert moving_mass_kg(measured(tool_point())) == pytest.approx(expected, rel=0.05)
 
 
 @pytest.mark.parametrize("diameter_mm", [6.0, 20.0])
@@ -105,30 +96,3 @@ def test_every_other_reading_of_numbers_in_that_unit_is_the_response() -> None:
         read = dict(other_readings(measured(values, frequency_hz)))[told]
         assert read.frequency_hz == pytest.approx(right.frequency_hz), told
         assert read.receptance_m_per_n == pytest.approx(right.receptance_m_per_n), told
-
-
-def test_frequencies_of_a_usual_measurement_pass() -> None:
-    for last in (400.0, 2500.0, 25_600.0):
-        check_frequencies(np.linspace(1.0, last, 10))
-
-
-def test_the_level_of_a_shaft_hardly_depends_on_its_bearings() -> None:
-    steel = Segment(
-        length_m=0.5, mass_kg_per_m=20.0, rotary_inertia_kgm=0.01, bending_stiffness_nm2=2e5, shear_stiffness_n=1e8,
-        structural_damping=0.003,
-    )  # fmt: skip
-    places = {"12": 0.1, "34": 0.2, "5": 0.45}
-    supports = tuple(
-        Support(position_m=at, group=group, properties=SpringDamper(kt_n_per_m=1e8)) for group, at in places.items()
-    )
-    shaft = CondensedShaft(Chain(parts=(steel,), supports=supports), np.linspace(300.0, 2500.0, 500))
-    lowest, highest = level_range_m_per_n(shaft)
-    assert 1e-10 < lowest < highest < 1e-6
-    assert highest < 100 * lowest
-    values = shaft.nose_receptance(properties_from_parameters(INITIAL))
-    assert lowest / 3 < level_m_per_n(values) < 3 * highest
-    check_level(measured(values, shaft.frequency_hz), lowest, highest)
-    with pytest.raises(MeasurementError, match="it would be with numbers in mm/N"):
-        check_level(measured(values * 1e3, shaft.frequency_hz), lowest, highest)
-    with pytest.raises(MeasurementError, match="is the axis in rad/s"):
-        check_level(measured(values * 1e9, shaft.frequency_hz), lowest, highest)

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 from config.machine.spindle_chain import read_spindle
-from daemon.workbench.dynamics.responses import ResponseError, response, whirls_of
+from daemon.workbench.dynamics.responses import response
 from models.dynamics.assembly import SpindleAssembly
 from models.dynamics.beam import Segment
 from models.dynamics.chain import Chain, SpringDamper, Support
-from models.dynamics.modes import natural_frequencies
 from models.dynamics.rotation import rotating_receptance, spinning, whirl_frequencies
 from models.records import FloatArray
 
@@ -106,29 +105,3 @@ def test_both_whirls_are_peaks_of_the_response(spindle: SpindleAssembly) -> None
     against_m3 = np.abs(found[:, 0, 0] - 1j * found[:, 0, 1])
     apart_hz = abs(lines_hz[np.argmax(with_m3)] - lines_hz[np.argmax(against_m3)])
     assert apart_hz == pytest.approx(along[2] - against[2], rel=0.05)
-
-
-def test_the_shipped_spindle_splits_by_a_per_cent_at_its_highest_speed() -> None:
-    told = read_spindle(Path("simulated_machine"))
-    found = whirls_of(told, 12_000.0, 2)
-    standing = natural_frequencies(told.assembly().whole(), 2)
-    split = (found["forward_hz"][1] - found["backward_hz"][1]) / standing[1]
-    assert split == pytest.approx(0.012, abs=0.001)
-    assert found["backward_hz"][1] < standing[1] < found["forward_hz"][1]
-
-
-def test_what_cannot_turn_is_refused(pinned: Chain, spindle: SpindleAssembly) -> None:
-    with pytest.raises(ValueError, match="precessions, no whirls; it needs bearings"):
-        whirl_frequencies(replace(pinned, supports=()), 1000.0, 2)
-    with pytest.raises(ValueError, match="rigid_rotary_inertia correct"):
-        replace(pinned.segments[0], rigid_rotary_inertia="published", spin_rad_s=1.0)
-    with pytest.raises(ValueError, match="spin_rad_s must be finite"):
-        replace(pinned.segments[0], spin_rad_s=math.inf)
-    shorter = replace(spindle, front=spindle.front[2:])
-    with pytest.raises(ValueError, match="differ in more than the properties of their bearings"):
-        rotating_receptance(spindle, shorter, 1000.0, FREQUENCY_HZ)
-    published = read_spindle(Path("unit_model_6_y"))
-    with pytest.raises(ResponseError, match="--rotary correct"):
-        whirls_of(published, 1000.0, 2)
-    with pytest.raises(ResponseError, match="rigid_rotary_inertia: correct"):
-        response(published, "nose", FREQUENCY_HZ, 1000.0)

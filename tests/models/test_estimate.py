@@ -12,7 +12,6 @@ from models.thermal.estimation import Estimation
 from models.thermal.estimator import DOMAIN_MARGIN_K, LinearEstimator
 from models.thermal.linear import LinearModel
 from models.thermal.model import TrainingData
-from models.thermal.training.evaluation import residual_metrics
 from models.thermal.training.making import increment_model
 
 COEFFICIENTS = np.array([[1.0, 2.0, -1.0, 0.0], [0.5, 0.0, 0.0, -0.5]])
@@ -100,11 +99,6 @@ def test_the_domain_is_a_range_wider_than_training_on_both_sides_and_never_narro
     assert at([0.0, 0.0, 0.0, -DOMAIN_MARGIN_K - 0.01]).outside == (14,)
 
 
-def test_an_imputed_sensor_is_not_judged_by_the_domain() -> None:
-    outcome = at([np.nan, 9.0, 9.0, 0.0])
-    assert (outcome.in_domain, outcome.imputed) == (True, (11,))
-
-
 @given(increment_k=INCREMENTS, elapsed_min=st.floats(0.0, 1e5))
 def test_the_estimate_is_finite_whenever_one_sensor_is_usable(increment_k: list[float], elapsed_min: float) -> None:
     outcome = estimate(MODEL, REFERENCE + np.array(increment_k), REFERENCE, elapsed_min)
@@ -124,36 +118,6 @@ def test_a_model_without_weight_on_a_channel_keeps_its_confidence() -> None:
     proof = tuple(replace(v, thermal_error_um=v.elapsed_min * DRIFT) for v in MODEL.test_vectors)
     empty = replace(MODEL, solutions=(nothing,), test_vectors=proof)
     assert at([np.nan, 0.0, 0.0, 0.0], model=empty).confidence == 1.0
-
-
-def test_shapes_and_times_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(ValueError, match="needs 4 temperatures"):
-        estimate(MODEL, REFERENCE[:3], REFERENCE, 0.0)
-    with pytest.raises(ValueError, match="finite"):
-        estimate(MODEL, REFERENCE, REFERENCE, float("nan"))
-    with pytest.raises(ValueError, match="3 components for 4 sensors"):
-        LinearEstimator(MODEL, COMPONENTS[:3])
-
-
-def series(*columns: list[float]) -> FloatArray:
-    return np.column_stack([np.array(column) for column in columns])
-
-
-def test_residuals_are_referenced_to_the_first_sample() -> None:
-    measured = series([10.0, 13.0, 6.0], [0.0, 0.0, 0.0], [np.nan, 5.0, 8.0], [np.nan] * 3)
-    estimated = series([1.0, 3.0, -1.0], [7.0, 7.0, 7.0], [1.0, 2.0, 4.0], [0.0] * 3)
-    metrics = residual_metrics(("a", "b", "c", "d"), measured, estimated)
-    np.testing.assert_allclose(metrics.max_without_um, [4.0, 0.0, 3.0, np.nan])
-    np.testing.assert_allclose(metrics.max_with_um, [2.0, 0.0, 1.0, np.nan])
-    np.testing.assert_allclose(metrics.rmse_without_um[0], np.sqrt((0 + 9 + 16) / 3))
-    np.testing.assert_allclose(metrics.rmse_with_um[0], np.sqrt((0 + 1 + 4) / 3))
-
-
-def test_residuals_of_nothing_are_refused() -> None:
-    with pytest.raises(ValueError, match="same rows"):
-        residual_metrics(("a",), np.zeros((3, 1)), np.zeros((2, 1)))
-    with pytest.raises(ValueError, match="not finite"):
-        residual_metrics(("a",), np.zeros((3, 1)), np.full((3, 1), np.nan))
 
 
 @pytest.mark.parametrize(

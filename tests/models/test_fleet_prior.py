@@ -1,6 +1,5 @@
 """What a sister takes over: an ordinary model, safe after one recording, whose file the daemon loads."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +7,7 @@ import pytest
 from sisters import few_sensors, sister_recordings
 
 from models.model_file import ModelError
-from models.recordings.dataset import DatasetError, Recording
+from models.recordings.dataset import Recording
 from models.thermal.estimation import Machine, OnlineReference
 from models.thermal.family import model_from_json
 from models.thermal.linear import LinearModel
@@ -126,20 +125,6 @@ def test_a_channel_that_is_connected_the_wrong_way_round_takes_over_nothing(
         assert left < without
 
 
-def test_what_to_record_next_is_what_the_guide_says_of_few_recordings(
-    of_type: MachineType, sister: list[Recording]
-) -> None:
-    """It said to record five more runs, to tell families apart of which none is chosen."""
-    warm_up = sister[0].between_hours(0.0, 1.0)
-    found = [training(of_type, [warm_up]), training(of_type, sister[:2]), training(of_type, sister[:3])]
-    assert [[sentence.split(": record ")[1] for sentence in one.advice] for one in found] == [
-        ["2 more runs, a warm-up and a cooling of this machine, and train again with all of them"],
-        ["1 more run, a warm-up and a cooling of this machine, and train again with all of them"],
-        [],
-    ]
-    assert found[0].advice[0].startswith("of 1 recording a combination of its sisters' models is made")
-
-
 def test_the_model_is_the_combination_and_its_domain_and_band_are_not_narrower_than_the_types(
     of_type: MachineType, sister: list[Recording]
 ) -> None:
@@ -203,13 +188,6 @@ def test_the_sensors_of_one_machine_may_be_counted_otherwise(of_type: MachineTyp
     assert np.allclose(one.coefficients()[:temperatures], other.coefficients()[columns], atol=1e-6)
 
 
-def test_without_anything_to_say_a_combination_is_the_mean(of_type: MachineType, sister: list[Recording]) -> None:
-    (one,) = products(of_type, sister[:1])
-    members = of_type.models
-    assert np.allclose(combination([one.times(0.0)], members), members.mean(axis=0))
-    assert np.allclose(combination([one], members, 1e6), members.mean(axis=0), atol=1e-3)
-
-
 def test_a_machine_that_moves_as_one_of_the_fleet_is_taken_for_that_one(
     of_type: MachineType, sister: list[Recording]
 ) -> None:
@@ -247,26 +225,3 @@ def test_a_type_comes_back_from_its_file_and_a_changed_file_is_refused(of_type: 
         machine_type_from_json(b"{}", "type.json")
     with pytest.raises(ModelError, match="family"):
         model_from_json(text, "type.json")
-
-
-def test_a_sister_without_speed_or_with_another_channel_is_refused(
-    of_type: MachineType, sister: list[Recording]
-) -> None:
-    with pytest.raises(DatasetError, match="it has no spindle speed, which the type mill needs"):
-        trained(of_type, [replace(sister[0], speed_rpm=None)])
-    with pytest.raises(DatasetError, match="the type mill knows nothing of channel W1; it has Y1, Y2, Z1, Z2, Z3"):
-        trained(of_type, [replace(sister[0], displacement_names=("W1", *CHANNELS[1:]))])
-
-
-def test_an_estimate_costs_little_processor_time(of_type: MachineType, sister: list[Recording]) -> None:
-    model = trained(of_type, sister[:1])
-    online = model.runtime(Machine(components={}))
-    minutes = sister[0].downsampled(60.0)
-    degc = with_sensors(minutes, model.sensor_names).temperatures_degc[0]
-    online.on_sample(0.0, degc, 0.0)
-    online.set_reference(OnlineReference(time_min=0.0, now_min=0.0, degc=degc))
-    nobody = np.zeros(len(degc), dtype=np.bool_)
-    began = time.process_time()
-    for at in range(100):
-        online.estimate(float(at), degc, nobody)
-    assert time.process_time() - began < 1.0

@@ -16,7 +16,6 @@ from models.thermal.training.gaussian_process import (
     GaussianProcess,
     Rows,
     principal_coordinates,
-    squared_distances,
 )
 
 GROUPS = (np.arange(4), np.arange(4, 8), np.array([8]))
@@ -97,23 +96,6 @@ def test_mean_and_covariance_are_those_of_scikit_learn(rows: Rows, other: Gaussi
     np.testing.assert_allclose(posterior.covariance(columns, coordinates), covariance[:, :, 0] - own, atol=1e-8)
 
 
-def test_the_gradient_is_that_of_the_evidence(rows: Rows) -> None:
-    process, used = GaussianProcess(rows), np.arange(5, 55)
-    _, gradient = process.surprise(LOGARITHMS, used)
-    for place in range(len(LOGARITHMS)):
-        step = 1e-5 * (np.arange(len(LOGARITHMS)) == place)
-        change = process.surprise(LOGARITHMS + step, used)[0] - process.surprise(LOGARITHMS - step, used)[0]
-        assert gradient[place] == pytest.approx(change / 2e-5, rel=1e-5, abs=1e-8)
-
-
-def test_the_search_does_not_end_where_it_began(rows: Rows) -> None:
-    process, used = GaussianProcess(rows), np.arange(60)
-    found = process.likely(used, process.first, 40)
-    assert process.surprise(found, used)[0] < process.surprise(process.first, used)[0] - 0.1
-    for value, (low, high) in zip(found, process.bounds, strict=True):
-        assert low <= value <= high
-
-
 def test_leaving_rows_out_is_fitting_the_others(rows: Rows) -> None:
     kept = np.flatnonzero(rows.run != 1)
     some = Rows(
@@ -172,12 +154,3 @@ def test_what_bends_follows_when_a_sensor_is_left_out(rows: Rows) -> None:
     np.testing.assert_allclose(bend.without(linear, (1, 8)).weights_um, posterior.variance * weights, atol=1e-8)
     np.testing.assert_allclose(np.delete(linear.coefficients((1, 8)), [1, 8], axis=0), others.T @ weights, atol=1e-8)
     assert bend.without(linear, ()) is bend
-
-
-def test_principal_coordinates_are_the_same_with_more_rows_than_columns_and_with_fewer() -> None:
-    rng = np.random.default_rng(3)
-    wide = rng.normal(size=(12, 30)) * np.geomspace(1.0, 1e-3, 30)
-    few = principal_coordinates(wide - wide.mean(axis=0), [np.arange(30)])
-    many = principal_coordinates(np.vstack([wide - wide.mean(axis=0)] * 3), [np.arange(30)])
-    np.testing.assert_allclose(np.abs(few[:, :5].T @ many[:, :5]), np.eye(5), atol=1e-6)
-    np.testing.assert_allclose(squared_distances(wide, wide)[0, 1], np.square(wide[0] - wide[1]).sum())

@@ -77,14 +77,6 @@ def test_collinear_sensors_share_the_shortest_solution() -> None:
     np.testing.assert_allclose(fitted.coefficients_um_per_k, other.coef_, rtol=1e-6, atol=1e-9)
 
 
-def test_a_constant_sensor_gets_no_weight() -> None:
-    base = run()
-    values = base.temperatures_degc.copy()
-    values[:, 4] = 25.0
-    fitted = fit(factorise(increments([replace(base, temperatures_degc=values)], 1.0, 60.0)), intercept=False)
-    np.testing.assert_allclose(fitted.coefficients_um_per_k[:, 4], 0.0, atol=1e-12)
-
-
 def test_factors_of_runs_add_up() -> None:
     runs = [run(seed=seed) for seed in (1, 2, 3)]
     together = fit(factorise(increments(runs, 2.0, 60.0)), intercept=True, ridge=0.1)
@@ -123,21 +115,3 @@ def test_what_cannot_be_fitted_is_refused() -> None:
     fit(factorise(few), intercept=False, ridge=1.0)
     with pytest.raises(ValueError, match="not negative"):
         fit(factorise(few), intercept=False, ridge=-1.0)
-
-
-def test_the_sum_of_increments_telescopes() -> None:
-    """Equation 3-5 is the sum of 3-1; only its ends remain."""
-    one = run()
-    data = increments([one], 1.0, 60.0)
-    fitted = fit(factorise(data), intercept=True)
-    summed = np.cumsum(data.temperature_k @ fitted.coefficients_um_per_k.T + fitted.intercept_um, axis=0)
-    change_k, minutes = one.temperatures_degc[1:] - one.temperatures_degc[0], one.time_s[1:, None] / 60.0
-    ends = change_k @ fitted.coefficients_um_per_k.T + minutes * fitted.intercept_um
-    np.testing.assert_allclose(ends, summed, rtol=1e-9, atol=1e-9)
-
-
-def test_increments_carry_their_interval() -> None:
-    data = increments([run()], 5.0, 60.0)
-    assert isinstance(data, Increments)
-    assert data.interval_min == 5.0
-    np.testing.assert_allclose(data.temperature_k[0], run().temperatures_degc[5] - run().temperatures_degc[0])

@@ -13,19 +13,16 @@ from sklearn.linear_model import Ridge
 from models.model_file import ModelError
 from models.recordings.dataset import Recording
 from models.records import FloatArray
-from models.thermal.estimator import LinearEstimator, excluded_sensors, readmitted, widened
+from models.thermal.estimator import LinearEstimator, excluded_sensors, readmitted
 from models.thermal.family import model_from_json
-from models.thermal.features import Design, lag_step, lag_table
+from models.thermal.features import Design, lag_table
 from models.thermal.linear import LinearModel
-from models.thermal.start import LEAST_UNKNOWN
-from models.thermal.training.families import Fit, ridge_fit
+from models.thermal.training.families import Fit
 from models.thermal.training.inputs import build_inputs
-from models.thermal.training.lags import part_of
 from models.thermal.training.prepared import prepare
 from models.thermal.training.recipes import RECIPES
 from models.thermal.training.ridge import RidgeProblem
-from models.thermal.training.train_family import model_of, train_family
-from models.thermal.training.trust import judge
+from models.thermal.training.train_family import train_family
 
 CREATED = "2026-01-01T00:00:00+00:00"
 SENSORS = 5
@@ -80,10 +77,6 @@ def test_a_lag_is_exact_for_a_ramp_whatever_the_sampling() -> None:
         assert lagged == pytest.approx(30.0 - 12.0 * (1.0 - np.exp(-30.0 / 12.0)), rel=1e-12)
 
 
-def test_a_lag_step_of_no_time_changes_nothing() -> None:
-    assert lag_step(np.array([3.0]), np.array([1.0]), np.array([9.0]), 0.0, 10.0) == [3.0]
-
-
 def test_the_ridge_is_that_of_scikit_learn(recording: Recording) -> None:
     inputs = build_inputs([recording], sample_s=60.0)
     rows = inputs.trainable()
@@ -125,29 +118,6 @@ def test_leaving_sensors_out_is_a_fit_without_them(
     assert whole.min() >= 0.0
     assert np.all(found[inputs.layout.of_sensors(without)] == 0.0)
     np.testing.assert_allclose(np.delete(found, inputs.layout.of_sensors(without), axis=0), again, rtol=1e-6, atol=1e-8)
-
-
-def test_what_is_lost_without_a_sensor_is_what_the_others_do_not_explain(recording: Recording) -> None:
-    rng = np.random.default_rng(3)
-    one, other = rng.normal(0.0, 1.0, (2, recording.rows)).cumsum(axis=1)
-    degc = np.column_stack([one, one, other]) + rng.normal(0.0, 0.01, (recording.rows, 3))
-    um = (one / one.std() + 2.0 * other / other.std())[:, None]
-    made = replace(
-        recording,
-        temperature_names=("T1", "T2", "T3"),
-        temperatures_degc=20.0 + degc,
-        displacement_names=("c1",),
-        displacements_um=um,
-    )
-    inputs = build_inputs([made], sample_s=60.0, lags_min=(), speed_lags_min=())
-    fold = np.zeros(inputs.rows, dtype=np.intp)
-    design = Design(departures=False, correlation_min=None)
-    (solution,) = RidgeProblem(inputs, inputs.trainable(), fold, design).solve(frozenset(), [1e-6])
-    assert solution.lost_share(()) == 0.0
-    assert solution.lost_share((0,)) < 1e-3, "the second reads the same"
-    unexplained = 1.0 - np.corrcoef(one, other)[0, 1] ** 2
-    assert solution.lost_share((2,)) == pytest.approx(4.0 * unexplained / np.var(um), rel=0.02)
-    assert solution.lost_share((0, 1, 2)) == pytest.approx(1.0, abs=1e-3)
 
 
 def _absolute_penalty(problem: RidgeProblem, relative: float) -> float:
@@ -225,37 +195,6 @@ def test_a_watch_begins_where_a_temperature_was_measured(recording: Recording, m
     assert state.watch is not None and state.watch.faults == ()
 
 
-def test_who_begins_no_differently_than_training_began_is_at_rest(model: LinearModel) -> None:
-    runs = [machine(cycles=1, minutes=150, seed=seed) for seed in range(4)]
-    offsets_k = np.random.default_rng(5).normal(0.0, 1.0, (5, SENSORS))
-    begun = [
-        replace(run, name=f"run {i}", temperatures_degc=run.temperatures_degc + offset_k)
-        for i, (run, offset_k) in enumerate(zip(runs, offsets_k, strict=False))
-    ]
-    made = train_family(begun, "lags", sample_s=60.0, created=CREATED).model
-    assert isinstance(made, LinearModel) and made.start is not None and made.start.begun_k > 0.5
-    assert made.start.unknown_at_start(begun[1].temperatures_degc[0]) == LEAST_UNKNOWN
-    far = 4.0 * offsets_k[1]
-    assert made.start.unknown_at_start(runs[1].temperatures_degc[0] + far) > 2.0 * LEAST_UNKNOWN
-    assert model.start is not None and model.start.begun_k == 0.0, "of one run nothing tells how others begin"
-
-
-def test_lags_of_speed_alone_begin_like_others(recording: Recording) -> None:
-    """They once counted as never known: such a model was at no confidence for hours."""
-    prepared = prepare([recording], 60.0, RECIPES["lags"])
-    inputs = part_of(prepared.inputs, (), prepared.inputs.layout.speed_lags_min)
-    problem = RidgeProblem(inputs, prepared.rows, prepared.fold, Design(departures=False, correlation_min=None))
-    fit = ridge_fit(problem.solve(frozenset(), [1e-2]))
-    trust = judge(prepared.inputs, prepared.rows, prepared.fold, prepared.problem)
-    of_speed = replace(prepared, inputs=inputs)
-    made = model_of("lags", [recording], of_speed, fit, trust, None)
-    assert isinstance(made, LinearModel) and made.start is not None and not made.layout.lags_min
-    assert made.period_s == 60.0, "its lags are of means over a minute"
-    estimator = LinearEstimator(made)
-    assert estimator.settled(estimator.begin(0.0, recording.temperatures_degc[0], 0.0)) > 0.99
-    assert estimator.settled(estimator.begin(0.0, recording.temperatures_degc[0])) < 0.99, "speed is not known"
-
-
 def test_a_silence_of_everything_is_the_same_with_rows_and_without(recording: Recording, model: LinearModel) -> None:
     """A recording has no rows where the daemon hears nothing; both must go on after it."""
     estimator = LinearEstimator(model)
@@ -290,23 +229,6 @@ def with_an_axis(recording: Recording) -> LinearModel:
     return made
 
 
-def test_a_silence_of_all_sensors_is_one_though_the_axes_are_read_meanwhile(
-    recording: Recording, model: LinearModel, with_an_axis: LinearModel
-) -> None:
-    """The positions of 30 minutes without temperatures once let their lags count as known."""
-    grown = []
-    for made, z_mm in ((model, ()), (with_an_axis, (250.0,))):
-        estimator, degc = LinearEstimator(made), recording.temperatures_degc
-        state = before = estimator.rebuild((float(minute), np.append(degc[minute], z_mm), 0.0) for minute in range(100))
-        assert state is not None and before is not None
-        for minute in range(100, 131):
-            row = np.append(degc[130] if minute == 130 else np.full(SENSORS, np.nan), z_mm)
-            state = estimator.advance(state, float(minute), row, 0.0, bridged=True)
-        of_temperatures = (state.unknown - before.unknown)[~estimator._past.of_speed]
-        grown.append(float(of_temperatures[0]))
-    assert grown[0] > 0.05 and grown[1] == pytest.approx(grown[0], rel=0.2)
-
-
 def test_where_an_axis_has_dwelt_is_unknown_at_first_and_after_a_gap_of_its_position(
     recording: Recording, with_an_axis: LinearModel
 ) -> None:
@@ -320,19 +242,6 @@ def test_where_an_axis_has_dwelt_is_unknown_at_first_and_after_a_gap_of_its_posi
         state = estimator.advance(state, float(minute), row, 0.0, bridged=True)
     gone = -np.expm1(-31.0 / estimator._past.constants_min)
     assert (state.unknown >= 0.9 * gone)[~estimator._past.of_speed].all()
-
-
-def test_the_travel_of_axes_does_not_widen_what_temperatures_may_be(model: LinearModel) -> None:
-    """The median width of all inputs was taken in mm too: with most of them positions a sensor could melt unseen."""
-    count, axes = SENSORS, SENSORS + 2
-    domain = replace(
-        model.domain,
-        lowest=np.append(model.domain.lowest, np.zeros(axes)),
-        highest=np.append(model.domain.highest, np.full(axes, 500.0)),
-    )
-    of_temperatures, of_all = widened(model.domain, count), widened(domain, count)
-    np.testing.assert_allclose(np.array(of_all)[:, :count], of_temperatures)
-    np.testing.assert_allclose(np.array(of_all)[:, count:], [[-500.0] * axes, [1000.0] * axes, [np.inf] * axes])
 
 
 def test_a_temperature_that_hardly_moved_in_training_may_change_as_far_as_others(model: LinearModel) -> None:
@@ -390,14 +299,6 @@ def test_while_the_past_is_not_known_the_band_is_wider_and_confidence_low(
     assert confidences == sorted(confidences) and confidences[-1] > 0.9999
 
 
-def test_a_model_of_before_needs_filled_lags(recording: Recording, model: LinearModel) -> None:
-    estimator = LinearEstimator(replace(model, start=None))
-    degc = recording.temperatures_degc[0]
-    assert estimator.settled(estimator.begin(0.0, degc, 0.0)) == 0.0
-    filled = estimator.rebuild((float(minute), degc, 0.0) for minute in range(961))
-    assert filled is not None and estimator.settled(filled) > 0.98
-
-
 def test_a_long_gap_in_speed_is_unknown_and_a_short_one_is_not(recording: Recording, model: LinearModel) -> None:
     estimator = LinearEstimator(model)
     degc, of_speed = recording.temperatures_degc[0], estimator._past.of_speed
@@ -438,13 +339,6 @@ def test_a_lost_sensor_is_left_out_until_the_next_reference(recording: Recording
     assert excluded_sensors(readmitted(late, (2,)), late) == ()
 
 
-def test_no_usable_sensor_is_no_estimate(recording: Recording, model: LinearModel) -> None:
-    estimator = LinearEstimator(model)
-    reference = estimator.begin(0.0, recording.temperatures_degc[0], 0.0)
-    state = estimator.advance(reference, 1.0, np.full(SENSORS, np.nan), 0.0)
-    assert estimator.estimate(state, reference) is None
-
-
 def test_far_from_training_confidence_fades(recording: Recording, model: LinearModel) -> None:
     estimator = LinearEstimator(model)
     degc = recording.temperatures_degc[0]
@@ -459,16 +353,6 @@ def test_far_from_training_confidence_fades(recording: Recording, model: LinearM
     assert np.min(far.band_factor) >= 2.0
 
 
-def test_a_late_or_repeated_sample_changes_nothing(recording: Recording, model: LinearModel) -> None:
-    estimator = LinearEstimator(model)
-    state = estimator.begin(5.0, recording.temperatures_degc[0], 0.0)
-    assert estimator.advance(state, 5.0, recording.temperatures_degc[1], 0.0) is state
-    with pytest.raises(ValueError, match="needs 5 temperatures"):
-        estimator.advance(state, 6.0, np.zeros(3), 0.0)
-    with pytest.raises(ValueError, match="finite"):
-        estimator.begin(float("nan"), recording.temperatures_degc[0], 0.0)
-
-
 def test_the_file_gives_the_model_back(model: LinearModel) -> None:
     text = model.to_json()
     again = model_from_json(text, "m.json")
@@ -476,14 +360,6 @@ def test_the_file_gives_the_model_back(model: LinearModel) -> None:
     assert again.to_json() == text
     assert again.hyper_parameters == model.hyper_parameters
     np.testing.assert_array_equal(again.coefficients((1,)), model.coefficients((1,)))
-
-
-def test_families_without_lags_are_models_of_the_same_family(recording: Recording) -> None:
-    for family in ("increments", "ridge", "pls", "lasso"):
-        made = train_family([recording], family, sample_s=60.0, created=CREATED).model
-        again = model_from_json(made.to_json(), "m.json")
-        assert isinstance(again, LinearModel) and again.layout.lags_min == ()
-        assert again.to_json() == made.to_json()
 
 
 def rewritten(model: LinearModel, change: Callable[[dict[str, Any]], None]) -> str:

@@ -20,7 +20,6 @@ from models.thermal.training.train_family import train_family
 SENSORS = 5
 MINUTES = 1500
 REFERENCE = 1000
-LONGEST_LAG_MIN = 240.0
 
 
 def machine(seed: int) -> Recording:
@@ -166,33 +165,6 @@ def test_lags_started_from_a_guess_follow_the_sensor(model: LinearModel) -> None
     np.testing.assert_allclose(left, guess * faded, atol=1e-9)
 
 
-def test_a_silence_of_one_sensor_leaves_the_states_known_and_of_all_does_not(model: LinearModel) -> None:
-    run = Run(model)
-    run.run(30, gone=(3,))
-    run.run(2)
-    before = run.state.unknown.max()
-    for minute in range(20):
-        silent = np.full(SENSORS, np.nan)
-        run.state = run.estimator.advance(run.state, run.minute + float(minute), silent, 0.0)
-    run.minute += 20
-    run.state = run.estimator.advance(run.state, float(run.minute), run._sample(run.minute)[1], 0.0)
-    gone = 1.0 - np.exp(-20.0 / run.estimator._past.constants_min)
-    of_degc = ~run.estimator._past.of_speed
-    assert before < 0.2 and run.state.unknown[of_degc] == pytest.approx(gone[of_degc], abs=0.2)
-    assert returning(run.estimator, run.state, run.reference, []) == (0, 1, 2, 3, 4)
-    assert rebased(run.estimator, run.state, run.reference, (0, 1, 2, 3, 4)) is None, "nobody to go on from"
-
-
-def test_a_sensor_missing_at_the_reference_joins_without_a_step(model: LinearModel) -> None:
-    run = Run(model)
-    run.run(60, gone=(0,))
-    run.reference = state_reference(run.estimator, run.state)
-    before = run.run(40, gone=(0,))
-    after = run.run(5)
-    assert run.latest.imputed == ()
-    assert np.abs(after[0] - before[-1]).max() < 1.0
-
-
 def test_what_the_watch_found_wrong_does_not_return(model: LinearModel) -> None:
     run = Run(model)
     run.run(5)
@@ -200,17 +172,6 @@ def test_what_the_watch_found_wrong_does_not_return(model: LinearModel) -> None:
     run.run(20, gone=(4,))
     run.run(3)
     assert run.latest.imputed == (model.sensor_ids[4],)
-
-
-def test_a_returned_sensor_is_watched_from_what_is_expected_of_it(model: LinearModel) -> None:
-    frame = np.where(np.arange(SENSORS) == 1, 4.0, 0.0)
-    run = Run(model)
-    run.run(60, gone=(1,))
-    run.run(60, offset_k=frame)
-    assert not run.latest.imputed, "an offset of before is no departure"
-    for k in range(60):
-        run.run(1, offset_k=frame * (1.0 + 0.1 * k))
-    assert run.latest.imputed == (model.sensor_ids[1],), "a drift of now is one"
 
 
 @given(
@@ -318,11 +279,3 @@ def test_a_sensor_that_a_reference_holds_is_not_set_anew_when_it_is_taken_up(mod
     found, anew, unsure_um = taken_up(model, gone_at_reference=True)
     assert not any(anew) and unsure_um == 0.0
     np.testing.assert_allclose(found, as_held, atol=0.02)
-
-
-def test_a_reference_that_is_older_than_the_history_of_now_is_counted_from(model: LinearModel) -> None:
-    clean, _, _ = taken_up(model)
-    later, anew, _ = taken_up(model, begins=REFERENCE + 20)
-    assert not any(anew)
-    assert np.isfinite(later).all()
-    np.testing.assert_allclose(later[-1], clean[-1], atol=6.0)  # a lag of four hours has not forgotten how it began

@@ -11,13 +11,11 @@ from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order
 from models.stability.milling import (
     Cut,
     MillingMode,
-    directional_matrix,
     engagement_rad,
     mean_directional_matrix,
 )
 from models.stability.response import (
     ModalResponse,
-    Mode,
     SampledResponse,
     feed_rotation,
     mode_from_mass,
@@ -71,16 +69,6 @@ def test_an_frf_gives_the_lobes_of_its_modes(cut: Cut) -> None:
     assert measured.limiting_depth_mm == pytest.approx(modelled.limiting_depth_mm, rel=0.01)
 
 
-class TwoWithAHole:
-    """Modes whose receptance is not finite at some frequencies: a response of another kind than the shipped ones."""
-
-    frequencies_hz = staticmethod(TWO.frequencies_hz)
-
-    @staticmethod
-    def receptance_m_per_n(frequency_hz: np.ndarray) -> np.ndarray:
-        return TWO.receptance_m_per_n(frequency_hz) * np.where(frequency_hz > 9000.0, np.inf, 1.0)[:, None, None]
-
-
 @pytest.mark.parametrize("wrong", [math.nan, math.inf, complex(0.0, -math.inf)])
 @pytest.mark.parametrize("place", [(0, 0), (1, 1), (0, 1)])
 def test_a_line_that_is_not_finite_is_refused_by_its_frequency(place: tuple[int, int], wrong: complex) -> None:
@@ -94,18 +82,6 @@ def test_a_line_that_is_not_finite_is_refused_by_its_frequency(place: tuple[int,
             lobes(sampled, SLOT, from_rpm=5000.0, to_rpm=14000.0, points=401)
     with pytest.raises(StabilityError, match="no finite value at 650 Hz"):
         fit_modes(lines, receptance[:, place[0], place[1]])
-
-
-def test_an_infinite_frequency_and_a_hole_of_any_response_are_refused_too() -> None:
-    lines = np.append(np.arange(100.0, 2500.0, 1.0), math.inf)
-    endless = SampledResponse(frequency_hz=lines, receptance=np.ones((len(lines), 2, 2), dtype=np.complex128))
-    with pytest.raises(StabilityError, match="no finite value at inf Hz"):
-        zeroth_order_lobes(endless, SLOT, from_rpm=5000.0, to_rpm=14000.0, points=41)
-    with pytest.raises(StabilityError, match=r"no finite value at 9\d\d\d\S* Hz"):
-        zeroth_order_lobes(TwoWithAHole(), SLOT, from_rpm=5000.0, to_rpm=140000.0, points=41)
-    for gain in (math.nan, math.inf):
-        with pytest.raises(StabilityError, match="no finite size"):
-            Mode(frequency_hz=600.0, damping_ratio=0.02, displacement_gain_per_kg=gain)
 
 
 def encirclements(cut: Cut, speed_rpm: float, depth_m: float) -> int:
@@ -124,58 +100,12 @@ def test_the_envelope_parts_stable_from_unstable(cut: Cut, speed_rpm: float) -> 
     assert encirclements(cut, speed_rpm, 1.03 * limit_m) > 0
 
 
-def test_mean_of_the_periodic_matrix_is_half_the_mean_matrix() -> None:
-    for cut in (SLOT, down(3.0)):
-        angles = (np.arange(200_000) + 0.5) / 200_000 * 2.0 * math.pi
-        mean = directional_matrix(cut, angles).mean(axis=0)
-        assert np.allclose(mean, mean_directional_matrix(cut) / 2.0, atol=1e-4)
-
-
-def test_minimum_within_a_range_that_no_bottom_touches_lies_at_an_end() -> None:
-    whole = zeroth_order_lobes(TWO, SLOT, from_rpm=2000.0, to_rpm=14000.0, points=2001)
-    deepest = int(np.argmax(whole.limiting_depth_mm))
-    first, last = whole.speed_rpm[deepest - 5], whole.speed_rpm[deepest - 1]
-    part = zeroth_order_lobes(TWO, SLOT, from_rpm=first, to_rpm=last, points=50)
-    assert part.minimum.speed_rpm == pytest.approx(first)
-    assert part.minimum.depth_mm == pytest.approx(whole.limiting_depth_mm[deepest - 5], rel=1e-3)
-
-
 def test_lowest_over_feed_directions_is_below_each() -> None:
     lowest = lowest_over_feed_directions(TWO, down(), from_rpm=4000.0, to_rpm=12000.0, points=100)
     for feed_deg in (0.0, 45.0, 90.0, 225.0):
         one = zeroth_order_lobes(TWO, down(), from_rpm=4000.0, to_rpm=12000.0, points=100, feed_deg=feed_deg)
         assert np.all(lowest.limiting_depth_mm <= one.limiting_depth_mm * (1.0 + 1e-9))
         assert lowest.minimum.depth_mm <= one.minimum.depth_mm * (1.0 + 1e-9)
-
-
-def test_turning_the_machine_and_the_feed_together_changes_nothing() -> None:
-    turned = ModalResponse(xx=TWO.yy, yy=TWO.xx)
-    straight = ModalResponse(xx=TWO.xx, yy=TWO.yy)
-    one = zeroth_order_lobes(straight, down(), from_rpm=4000.0, to_rpm=9000.0, points=50, feed_deg=90.0)
-    other = zeroth_order_lobes(turned, down(), from_rpm=4000.0, to_rpm=9000.0, points=50, feed_deg=0.0)
-    assert one.limiting_depth_mm == pytest.approx(other.limiting_depth_mm)
-
-
-def test_samples_between_lines_follow_the_modes() -> None:
-    lines = np.arange(300.0, 2500.0, 0.78125)
-    sampled = SampledResponse(frequency_hz=lines, receptance=TWO.receptance_m_per_n(lines))
-    between = np.linspace(400.0, 2400.0, 5000)
-    expected = TWO.receptance_m_per_n(between)
-    assert np.abs(sampled.receptance_m_per_n(between) - expected).max() < 1e-6 * np.abs(expected).max()
-
-
-def test_residue_mass_and_stiffness_describe_the_same_mode() -> None:
-    lines = np.linspace(10.0, 3000.0, 500)
-    angular = 2.0 * math.pi * 922.0
-    residue = 1.0 / (2j * 0.04 * angular * math.sqrt(1.0 - 0.02**2))
-    modes = (
-        mode_from_mass(922.0, 0.02, 0.04),
-        mode_from_stiffness(922.0, 0.02, 0.04 * angular**2),
-        mode_from_residue(922.0, 0.02, residue),
-    )
-    first, *others = (ModalResponse(xx=(mode,)).receptance_m_per_n(lines) for mode in modes)
-    for other in others:
-        assert other == pytest.approx(first, rel=1e-12)
 
 
 def test_refusals_say_what_to_do() -> None:

@@ -34,26 +34,6 @@ def test_members_that_err_differently_are_mixed_and_the_bad_one_is_not() -> None
     assert relative(mixed) < 0.8 * min(relative(one) for one in tried)
 
 
-def test_members_that_err_alike_are_not_better_together() -> None:
-    common = noise(7, 1.0)
-    tried = [member(noise(1, 0.01, common)), member([1.5 * each for each in common])]
-    assert mixing_weights(tried) == {0: 1.0}
-
-
-def test_the_weights_sum_to_one_over_few_members() -> None:
-    weights = mixing_weights([member(noise(seed, 1.0)) for seed in range(10)])
-    assert len(weights) == MOST_MEMBERS and sum(weights.values()) == pytest.approx(1.0)
-    assert min(weights.values()) > 0.0
-
-
-def test_with_probes_an_offset_does_not_count() -> None:
-    """One drifts slowly and says little between two probes; the other jumps about zero."""
-    slow = [np.linspace(0.0, 20.0, ROWS)[:, None] * np.ones(2) for _ in range(RUNS)]
-    tried = noise(1, 2.0)
-    assert mixing_weights([member(slow), member(tried)])[1] > 0.8
-    assert mixing_weights([member(slow, probe_min=5.0), member(tried, probe_min=5.0)])[0] > 0.6
-
-
 def test_weights_are_even_where_chosen_ones_are_not_clearly_better() -> None:
     """Ten members that err alike by chance: what was added to the best one followed what is left by chance."""
     tried = [member(noise(seed, 1.0)) for seed in range(10)]

@@ -1,17 +1,13 @@
 """Nested least squares, the dissertation's models and the campaign study against refits from scratch."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from sklearn.linear_model import LinearRegression
 
-from models.recordings.dataset import DatasetError, Recording
+from models.recordings.dataset import Recording
 from models.recordings.jumps import remove_jumps_at_switching
 from models.records import FloatArray
 from models.thermal.training.campaign_study import (
-    by_increasing_speed,
-    progressive_fits,
     random_sensor_order,
     residual_maps,
 )
@@ -78,34 +74,6 @@ def test_every_nested_fit_is_scikit_learns(intercept: bool, sets: int) -> None:
             assert drift[output] == pytest.approx(refit.intercept_, rel=1e-8, abs=1e-10)
 
 
-@pytest.mark.parametrize("intercept", [True, False])
-def test_fewer_rows_than_sensors_take_the_shortest_solution(intercept: bool) -> None:
-    training = prepared(1, minutes=6)
-    order = np.arange(SENSORS)
-    fits = nested_fits(training[0].factor, order, intercept=intercept)
-    inputs, outputs = increments_of(training, "Z2")
-    for count in range(1, SENSORS + 1):
-        refit = LinearRegression(fit_intercept=intercept).fit(inputs[:, :count], outputs)
-        assert fits.coefficients(count)[0][:, 1] == pytest.approx(refit.coef_, rel=1e-6, abs=1e-8)
-
-
-def test_a_still_sensor_and_a_doubled_one_change_nothing() -> None:
-    source = recording(1)
-    degc = source.temperatures_degc.copy()
-    degc[:, 2] = 21.5
-    degc[:, 7] = degc[:, 4]
-    each = prepare(1, replace(source, temperatures_degc=degc), ROOM)
-    fits = nested_fits(each.factor, np.arange(SENSORS), intercept=True)
-    assert fits.coefficients(4)[0][2] == pytest.approx(0.0, abs=1e-12)
-    change = degc - degc[0]
-    estimates = fits.estimates_um(change, each.elapsed_min, 1)
-    assert estimates[:, 7] == pytest.approx(estimates[:, 6], abs=1e-8), "the double adds nothing"
-    assert np.isfinite(estimates).all()
-    inputs, outputs = np.diff(degc, axis=0), np.diff(source.displacements_um[:, 2])
-    refit = LinearRegression().fit(inputs, outputs)
-    assert fits.coefficients(SENSORS)[0][:, 1] == pytest.approx(refit.coef_, abs=1e-8)
-
-
 def test_the_maps_are_those_of_refits_and_raw_tests() -> None:
     *training, test = prepared(4)
     order = random_sensor_order(SENSORS, 2)
@@ -142,14 +110,6 @@ def _length_estimate(training: list[PublishedSet], test: PublishedSet) -> FloatA
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def test_the_telescoped_estimate_is_the_sum_of_the_increments() -> None:
-    *training, test = prepared(3)
-    fits = progressive_fits(training, np.arange(SENSORS), intercept=True)[-1]
-    coefficients, drift = fits.main.coefficients(SENSORS)
-    steps = np.diff(test.recording.temperatures_degc, axis=0) @ coefficients[:, 0] + drift[0]
-    assert fits.estimates_um(test, "Y2")[1:, -1] == pytest.approx(np.cumsum(steps), abs=1e-9)
-
-
 def test_training_jumps_are_cleansed_and_test_jumps_are_not() -> None:
     each = prepared(1)[0]
     assert np.abs(np.diff(each.error_um("Y2"))).max() > 4.0
@@ -158,18 +118,3 @@ def test_training_jumps_are_cleansed_and_test_jumps_are_not() -> None:
     raw = np.diff(each.error_um("Y2"))
     assert found == pytest.approx(np.linalg.lstsq(inputs, cleansed, rcond=None)[0], rel=1e-8)
     assert np.abs(found - np.linalg.lstsq(inputs, raw, rcond=None)[0]).max() > 0.1
-
-
-def test_increasing_speed_and_refusals() -> None:
-    sets = prepared(4)
-    assert [each.number for each in by_increasing_speed(sets)] == [4, 3, 2, 1]
-    with pytest.raises(DatasetError, match="no spindle speed"):
-        prepare(1, replace(recording(1), speed_rpm=None), ROOM)
-    with pytest.raises(DatasetError, match="no temperature T77"):
-        prepare(1, recording(1), ("T77",))
-    with pytest.raises(DatasetError, match="no displacement Y2; there are"):
-        prepare(1, replace(recording(1), displacement_names=("A", "Z1", "Z2")), ROOM)
-    degc = recording(1).temperatures_degc.copy()
-    degc[3, 3] = np.nan
-    with pytest.raises(DatasetError, match="values are missing"):
-        prepare(1, replace(recording(1), temperatures_degc=degc), ROOM)

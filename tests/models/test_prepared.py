@@ -42,14 +42,6 @@ def test_speed_counts_only_where_it_helps(sensors_see_the_heat: bool) -> None:
     assert bool(prepared.problem.hyper_parameters["speed_lags_min"]) is not sensors_see_the_heat
 
 
-def test_only_the_wanted_rows_are_trained_on() -> None:
-    whole = machine(sensors_see_the_heat=False)
-    wanted = np.arange(whole.rows) < 480
-    prepared = prepare([whole], 60.0, RECIPES["default"], wanted)
-    assert prepared.rows.sum() == 480 and not prepared.rows[480:].any()
-    assert set(np.unique(prepared.fold)) == {-1, 0, 1, 2, 3}
-
-
 def test_families_on_temperatures_alone_have_no_speed() -> None:
     prepared = prepare([machine(sensors_see_the_heat=False)], 60.0, RECIPES["ridge"])
     assert (prepared.inputs.layout.lags_min, prepared.inputs.layout.speed_lags_min) == ((), ())

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from sklearn.decomposition import PCA
 
-from models.recordings.dataset import DatasetError
 from models.thermal.training.principal_components import differences, principal_components
 
 
@@ -31,16 +30,3 @@ def test_noise_needs_more_dimensions_over_short_times_than_over_long() -> None:
     slow = np.outer(np.linspace(0.0, 4.0, 400) ** 2, rng.uniform(0.5, 1.5, 12)) + rng.normal(0.0, 0.02, (400, 12))
     dimensions = [principal_components(differences([slow], rows)).dimensions() for rows in (1, 120)]
     assert dimensions[0] > dimensions[1]
-
-
-def test_differences_never_cross_from_one_run_into_the_next() -> None:
-    runs = [np.arange(4.0)[:, None], 100.0 + np.arange(3.0)[:, None]]
-    assert differences(runs, 2)[:, 0].tolist() == [2.0, 2.0, 2.0]
-    assert differences(runs, 3)[:, 0].tolist() == [3.0]
-
-
-def test_refusals() -> None:
-    with pytest.raises(DatasetError, match="no temperature varies"):
-        principal_components(np.ones((5, 3)))
-    with pytest.raises(DatasetError, match="two rows"):
-        principal_components(np.ones((1, 3)))

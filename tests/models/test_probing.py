@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from output_machine import LIMITS, Machine
 
-from models.control.probing import ENOUGH_REPEATED, BiasFilter, Wander, unknown_bias
+from models.control.probing import BiasFilter, Wander
 from models.recordings.dataset import Recording
 from models.records import FloatArray
 from models.thermal.training.inputs import build_inputs
@@ -56,12 +56,6 @@ def test_left_alone_the_offset_returns_slowly_and_within_the_slew_rate() -> None
     assert machine.memory.offset_um[0] == 0.0
 
 
-def test_a_model_that_says_nothing_of_its_wander_is_reset_by_a_probe() -> None:
-    machine = Machine(limits=replace(LIMITS, probe_noise_um=5.0)).following()
-    machine.step(probe_um=np.array([np.nan, 4.0])).step(60)
-    assert machine.applied == pytest.approx([3.0, 16.0], abs=0.02)
-
-
 def test_after_a_restart_the_first_probe_resets_and_a_new_reference_begins_at_nothing() -> None:
     machine = Machine(limits=replace(LIMITS, probe_noise_um=1.0)).following()
     machine.set(probe_wander=WANDER)
@@ -70,25 +64,6 @@ def test_after_a_restart_the_first_probe_resets_and_a_new_reference_begins_at_no
     assert machine.memory.offset_um[1] == pytest.approx(-4.0, abs=0.02)
     machine.set(reference_id="r2", estimate_reference_id="r2").step()
     assert machine.memory.probed is not None and not machine.memory.probed.variance_um2.any()
-
-
-def test_repeat_readings_tell_the_noise() -> None:
-    unsure = kalman(float("nan"))
-    state, rng = unsure.begin(0.0), np.random.default_rng(5)
-    for repeat in range(400):
-        state = unsure.correct(state, 0.3 * repeat, rng.normal(0.0, 2.0, 1))
-    assert np.sqrt(0.5 * state.repeated_um2[0] / state.repeated[0]) == pytest.approx(2.0, rel=0.15)
-    assert abs(state.bias_um[0]) < 1.0
-    few = unsure.begin(0.0)
-    for repeat in range(ENOUGH_REPEATED):
-        few = unsure.correct(few, 0.3 * repeat, np.array([float(repeat)]))
-    assert few.bias_um[0] == ENOUGH_REPEATED - 1.0, "until then a probe counts as exact"
-    assert state.begin(500.0).repeated[0] == state.repeated[0], "what is known of the probe outlasts a reference"
-
-
-def test_nothing_known_takes_the_value_whatever_the_noise() -> None:
-    state = kalman(3.0).correct(unknown_bias(1, 0.0), 5.0, np.array([7.0]))
-    assert (state.bias_um[0], state.variance_um2[0]) == (7.0, 9.0)
 
 
 def recording(time_min: FloatArray, um: FloatArray) -> Recording:

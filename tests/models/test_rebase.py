@@ -123,12 +123,6 @@ def test_what_a_sensor_was_imputed_with_until_it_was_set_anew_stays_in_doubt_ove
     assert online.kept is None and estimated(online, now).imputed_um == 0.0
 
 
-def test_without_any_other_sensor_nothing_is_rebased():
-    family, everybody = estimator(np.ones((1, SENSORS))), tuple(range(SENSORS))
-    counted = state_reference(family, at(family, 0.0, np.full(SENSORS, 20.0)))
-    assert rebased(family, at(family, 1.0, np.full(SENSORS, 25.0)), counted, everybody) is None
-
-
 @given(
     reference=vectors, here=st.lists(masks, min_size=1, max_size=12), wrong=st.lists(vectors, min_size=12, max_size=12)
 )
@@ -156,17 +150,3 @@ def test_a_sensor_that_left_goes_on_with_the_others_and_keeps_its_distance_from_
     else:
         assert later.mean_k == pytest.approx(whole.mean_k + rise_k, abs=1e-6)
         assert back.mean_k == pytest.approx(later.mean_k, abs=1e-6)
-
-
-def test_a_sensor_missing_at_the_reference_joins_the_mean_without_a_step():
-    mean = first_mean_increment(np.array([20.0, np.nan]))
-    mean = renewed_mean_increment(mean, np.array([24.0, np.nan]))
-    assert mean.mean_k == pytest.approx(4.0)
-    mean = renewed_mean_increment(mean, np.array([24.0, 50.0]))
-    assert mean.mean_k == pytest.approx(4.0)
-    assert renewed_mean_increment(mean, np.array([24.0, 52.0])).mean_k == pytest.approx(5.0), "and then it counts"
-
-
-def test_without_any_value_at_the_reference_the_mean_is_unknown_for_good():
-    mean = renewed_mean_increment(first_mean_increment(np.full(2, np.nan)), np.array([21.0, 22.0]))
-    assert np.isnan(mean.mean_k)

@@ -10,7 +10,6 @@ from config.machine.spindle_chain import read_spindle
 from models.dynamics.assembly import CondensedAssembly
 from models.dynamics.bearings import properties_from_parameters
 from models.dynamics.identification import FIXED
-from models.errors import IdentificationError
 from models.thermomechanics.resonance import ResonanceFollower, band, peaks
 
 TYPICAL = {"ct_12": 300.0, "kr_12": 3e6, "kt_34": 1e8, "kt_5": 5e7, "ct_5": 800.0}
@@ -58,12 +57,6 @@ def test_a_jump_onto_the_place_of_another_mode_does_not_deceive(factor: float) -
     assert found.frequency_hz == pytest.approx(640.0 * np.sqrt(factor), abs=3.0)
 
 
-def test_another_resonance_is_followed_when_asked_for() -> None:
-    assert ResonanceFollower(FREQUENCY_HZ, two_modes, {"hz": 500.0}, 880.0).resonance.frequency_hz == pytest.approx(
-        900.0, abs=1.0
-    )
-
-
 def test_a_mode_that_leaves_the_band_is_lost_and_found_again() -> None:
     follower = ResonanceFollower(FREQUENCY_HZ, two_modes, {"hz": 500.0})
     assert not follower.follow({"hz": 150.0}).continuous
@@ -96,8 +89,3 @@ def test_steps_looked_at_together_lead_where_single_ones_lead() -> None:
         for found in (several.follow(there), whole.follow(there)):
             assert found.continuous == expected.continuous
             assert found.frequency_hz == pytest.approx(expected.frequency_hz, abs=1e-6)
-
-
-def test_without_a_peak_there_is_nothing_to_follow() -> None:
-    with pytest.raises(IdentificationError, match="no resonance to follow"):
-        ResonanceFollower(FREQUENCY_HZ, lambda _: np.ones(len(FREQUENCY_HZ), dtype=np.complex128), {})

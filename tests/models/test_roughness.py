@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from models.errors import StabilityError
 from models.stability.roughness import profile_roughness, roughness_per_depth
 
 POSITION_MM = np.arange(5451) * 0.032e-1
@@ -17,13 +16,6 @@ def test_a_sine_on_a_slope() -> None:
     assert found.rz_um == pytest.approx(6.0, rel=0.02)
 
 
-def test_the_cutoff_passes_half_at_its_own_wavelength() -> None:
-    waves = np.sin(2.0 * np.pi * POSITION_MM / 0.8)
-    fine = 0.2 * np.sin(2.0 * np.pi * POSITION_MM / 0.05)
-    assert profile_roughness(POSITION_MM, waves, 0.8).rq_um == pytest.approx(0.5 / np.sqrt(2.0), rel=0.05)
-    assert profile_roughness(POSITION_MM, fine, 0.8).rq_um == pytest.approx(0.2 / np.sqrt(2.0), rel=0.02)
-
-
 def test_each_depth_has_its_own() -> None:
     depth = np.repeat([4.0, 6.0], 200)
     position = np.tile(np.arange(200) * 0.01, 2)
@@ -31,14 +23,3 @@ def test_each_depth_has_its_own() -> None:
     found = roughness_per_depth(depth, position, height)
     assert list(found) == [4.0, 6.0]
     assert found[6.0].ra_um == pytest.approx(5.0 * found[4.0].ra_um)
-
-
-def test_refusals() -> None:
-    with pytest.raises(StabilityError, match="too short"):
-        profile_roughness(POSITION_MM[:5], POSITION_MM[:5])
-    with pytest.raises(StabilityError, match="evenly"):
-        profile_roughness(np.sort(np.random.default_rng(1).random(100)) ** 3, np.zeros(100))
-    with pytest.raises(StabilityError, match="cut-off of 80 mm"):
-        profile_roughness(POSITION_MM, POSITION_MM, 80.0)
-    with pytest.raises(StabilityError, match=r"depth 4 mm: .*too short"):
-        roughness_per_depth(np.full(3, 4.0), np.arange(3.0), np.zeros(3))

@@ -43,12 +43,6 @@ def test_the_sensors_that_know_something_come_first(comparison: SensorComparison
     assert selection.relative_rmse[1] < 0.8 * selection.relative_rmse[0]
 
 
-def test_clusters_are_represented_by_sensors_of_their_own(comparison: SensorComparison) -> None:
-    selection = comparison.select("clusters", 6)
-    assert sorted(selection.sensors) == [f"T{i + 1}" for i in range(6)]
-    assert len(selection.relative_rmse) == 6
-
-
 def test_the_dear_sensors_are_those_that_know_something(comparison: SensorComparison) -> None:
     prices = comparison.prices()
     assert {price.sensor for price in prices[:2]} == {"T2", "T5"}

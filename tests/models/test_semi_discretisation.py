@@ -21,7 +21,6 @@ from models.stability.response import (
 )
 from models.stability.semi_discretisation import (
     chatter_frequency_hz,
-    default_steps,
     semi_discretisation,
     spectral_radius,
 )
@@ -70,17 +69,6 @@ def test_four_teeth_in_a_slot_are_what_the_zeroth_order_solves_exactly(feed_deg:
         assert chatter_frequency_hz(method, speed, limit)[0] == pytest.approx(chatter, rel=1e-3)
 
 
-def test_lobes_at_large_immersion_lie_near_the_zeroth_order() -> None:
-    case = cut("slot", 10.0, teeth=4)
-    found = semi_discretised_lobes(BENCHMARK, case, from_rpm=4000.0, to_rpm=7000.0, points=12)
-    expected = zeroth_order_lobes(BENCHMARK, case, from_rpm=4000.0, to_rpm=7000.0, points=12)
-    assert found.limiting_depth_mm == pytest.approx(expected.limiting_depth_mm, rel=1e-2)
-    assert found.minimum is not None
-    assert expected.minimum is not None
-    assert found.minimum.depth_mm == pytest.approx(expected.minimum.depth_mm, rel=2e-3)
-    assert found.minimum.depth_mm <= found.limiting_depth_mm.min()
-
-
 def test_low_immersion_has_flip_lobes_that_the_zeroth_order_misses() -> None:
     case = cut("down", 1.0)
     found = semi_discretised_lobes(BENCHMARK, case, from_rpm=17900.0, to_rpm=18180.0, points=8)
@@ -105,39 +93,6 @@ def test_no_island_of_instability_is_missed() -> None:
         unstable = np.flatnonzero(radii >= 1.0)
         first_mm = float(depths_mm[unstable[0]]) if len(unstable) else np.inf
         assert found.limiting_depth_mm[0] <= 1.01 * first_mm
-
-
-def test_the_limit_is_where_the_radius_is_one() -> None:
-    case = cut("up", 1.0)
-    found = semi_discretised_lobes(FULL, case, from_rpm=6000.0, to_rpm=9000.0, points=3, steps=60, feed_deg=30.0)
-    for speed, limit in zip(found.speed_rpm, found.limiting_depth_mm, strict=True):
-        assert radius(FULL, case, speed, limit, 60, 30.0) == pytest.approx(1.0, abs=1e-3)
-
-
-def test_greatest_depth_bounds_the_search() -> None:
-    found = semi_discretised_lobes(
-        BENCHMARK, cut("slot", 10.0), from_rpm=5000.0, to_rpm=9000.0, points=4, max_depth_mm=0.1
-    )
-    assert np.all(np.isinf(found.limiting_depth_mm))
-    assert found.minimum is None
-    assert "stable everywhere up to 0.1 mm" in found.warnings[0]
-
-
-def test_a_faint_mode_far_above_takes_no_steps() -> None:
-    faint = mode_from_stiffness(6000.0, 0.05, 1e9)
-    with_it = ModalResponse(xx=(*BENCHMARK.xx, faint))
-    case = cut("slot", 10.0)
-    assert default_steps(state_space(with_it), case, 3000.0) == default_steps(state_space(BENCHMARK), case, 3000.0)
-    assert radius(with_it, case, 9000.0, 0.6, 40) == pytest.approx(radius(with_it, case, 9000.0, 0.6, 320), abs=2e-3)
-
-
-def test_opposite_feed_and_equal_structures_change_nothing() -> None:
-    case = cut("down", 2.0, teeth=3)
-    one = radius(FULL, case, 8000.0, 1.0, 60, 25.0)
-    assert radius(FULL, case, 8000.0, 1.0, 60, 205.0) == pytest.approx(one)
-    same = mode_from_stiffness(700.0, 0.02, 5e6)
-    round_tool = ModalResponse(xx=(same,), yy=(same,))
-    assert radius(round_tool, case, 8000.0, 1.0, 60, 77.0) == pytest.approx(radius(round_tool, case, 8000.0, 1.0, 60))
 
 
 def test_transition_is_the_exponential() -> None:
@@ -177,17 +132,6 @@ def test_helix_pitches_and_damping_converge(teeth: int) -> None:
         assert errors[0] > 4.0 * errors[1] > 16.0 * errors[2] > 0.0
 
 
-def test_what_is_not_there_changes_nothing() -> None:
-    plain = cut("down", 3.0, 3)
-    even = replace(plain, diameter_m=0.01, pitch_rad=(2.0 * math.pi / 3.0,) * 3, helix_rad=1e-9)
-    assert not plain.beyond_straight
-    assert replace(everything(), pitch_rad=even.pitch_rad).beyond_straight == ("helix_deg", "process_damping_n_per_m")
-    assert everything().straight() == replace(plain, diameter_m=0.01)
-    for depth_mm in (0.5, 3.0):
-        expected = radius(FULL, plain, 9000.0, depth_mm, 40, 20.0)
-        assert radius(FULL, even, 9000.0, depth_mm, 40, 20.0) == pytest.approx(expected, rel=1e-6)
-
-
 def test_lobes_follow_helix_pitches_and_damping() -> None:
     """Each limit is where the radius with more steps is one; straight teeth have others."""
     tool = replace(everything().straight(), teeth=2, pitch_rad=(3.0, 2.0 * math.pi - 3.0), helix_rad=0.6)
@@ -195,15 +139,6 @@ def test_lobes_follow_helix_pitches_and_damping() -> None:
     for speed, limit in zip(found.speed_rpm, found.limiting_depth_mm, strict=True):
         assert radius(BENCHMARK, tool, speed, limit, 80) == pytest.approx(1.0, abs=2e-3)
         assert abs(radius(BENCHMARK, tool.straight(), speed, limit, 80) - 1.0) > 0.01
-
-
-def test_methods_that_cannot_say_so() -> None:
-    with pytest.raises(
-        StabilityError, match="knows no helix_deg, pitch_deg, process_damping_n_per_m; add --method sdm"
-    ):
-        zeroth_order_lobes(FULL, everything(), from_rpm=6000.0, to_rpm=7000.0, points=2)
-    with pytest.raises(StabilityError, match="collocation in the engaged arc knows no helix_deg"):
-        spectral_radii(FULL, everything(), feed_deg=0.0, speed_rpm=6000.0, depths_mm=np.array([1.0]))
 
 
 @pytest.mark.parametrize(

@@ -55,12 +55,6 @@ def test_a_stuck_sensor_is_named_with_the_row(number: int) -> None:
     assert 1.9 < found.stuck_h < 2.4 and found.by_k > 2.0
 
 
-def test_a_stuck_sensor_is_named_in_a_single_recording() -> None:
-    recording = run(9, hours=12.0)
-    (found, *_) = disagreements([changed(recording, 2, recording.temperatures_degc[480, 2], first=480)])
-    assert found.sensor == 2 and found.row is not None
-
-
 def test_a_sensor_that_is_the_wrong_way_round_in_one_recording_is_named_alone() -> None:
     recording = RUNS[2]
     turned = 2.0 * recording.temperatures_degc[0, 3] - recording.temperatures_degc[:, 3]

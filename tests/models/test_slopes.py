@@ -9,7 +9,6 @@ from expanding_axis import MAP, PIVOT_MM, SENSORS, TRAINED, left_um, recorded
 
 from config.recordings.recording_map import ColumnError, RecordingMap, resolve_columns
 from daemon.model_release.loading import read_model
-from drivers.files.recording_csv import RecordingFileError, read_recording
 from models.recordings.dataset import DatasetError
 from models.recordings.slopes import offset_and_slope
 from models.thermal.family import model_from_json
@@ -41,14 +40,6 @@ def test_offset_and_slope_are_told_at_every_row_of_a_pass_and_nowhere_else() -> 
     assert np.isnan(offset_um[30:]).all() and np.isnan(slope[30:]).all()
 
 
-def test_positions_that_lie_too_close_show_no_slope() -> None:
-    time_s = np.arange(40.0) * 60.0
-    with pytest.raises(DatasetError, match="two or more positions"):
-        offset_and_slope(time_s, np.tile([0.0, 15.0], 20), time_s * 0.0, pivot_mm=0.0, pass_s=600.0)
-    with pytest.raises(DatasetError, match="two or more positions"):
-        offset_and_slope(time_s, np.full(40, np.nan), time_s, pivot_mm=0.0, pass_s=600.0)
-
-
 @pytest.mark.parametrize(
     ("slopes", "words"),
     [
@@ -61,13 +52,6 @@ def test_a_map_that_names_what_is_not_there_is_refused(slopes: dict[str, object]
     bad = RecordingMap.model_validate(MAP.model_dump(exclude_none=True) | {"slopes": slopes})
     with pytest.raises(ColumnError, match=words):
         resolve_columns(bad, ["t", *SENSORS, "Z_mm", "Z1"])
-
-
-def test_a_recording_without_two_positions_names_file_and_column(tmp_path: Path) -> None:
-    path = tmp_path / "still.csv"
-    path.write_text("t,t1,Z_mm,Z1\n" + "".join(f"{60 * i},20,250,{i}\n" for i in range(20)), encoding="utf-8")
-    with pytest.raises(RecordingFileError, match=r"still.csv: slopes.Z1: column 3 \(Z_mm\).*two or more positions"):
-        read_recording(path, MAP)
 
 
 # --- what a model says of it -------------------------------------------------------------

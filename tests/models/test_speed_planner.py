@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from models.records import Phase
 from models.spindle_speed.choice import SpeedDemand
 from models.spindle_speed.planner import MillingOperation, SpeedPlanner
-from models.spindle_speed.strategies import ResonanceRule, TunedSpeed
+from models.spindle_speed.strategies import TunedSpeed
 from models.spindle_speed.tool_point import EstimatedToolPoint
 from models.spindle_speed.tuning import SpeedTuningSettings
 from models.stability.lobes import StabilityLobes
@@ -85,22 +85,6 @@ def test_without_the_margin_the_deepest_speed_is_taken_and_without_the_depth_non
     none = SpeedPlanner(beyond, lobes_of).plan(known_at(620.0, 680.0)).choice
     assert not none.stable
     assert none.speed_rpm == 9200.0
-
-
-def test_the_change_per_step_of_a_sensor_is_reported() -> None:
-    changes = SpeedPlanner(OPERATION, lobes_of).change_per_step_rpm(
-        known_at(650.0, 715.0), {"nose": known_at(660.0, 725.0), "room": known_at(650.0, 715.0)}
-    )
-    assert changes["nose"] > 0.0
-    assert changes["room"] == 0.0
-
-
-def test_the_rule_keeps_its_speed_outside_the_range() -> None:
-    rule = ResonanceRule(OPERATION, axis="x")
-    assert rule.renew(0.0, Phase.SAFE_POINT, known_at(620.0, 680.0)).speed_rpm == pytest.approx(9000.0)
-    outside = rule.renew(10.0, Phase.SAFE_POINT, known_at(900.0, 950.0))
-    assert outside.speed_rpm == pytest.approx(9000.0)
-    assert "lies outside" in str(outside.alarm)
 
 
 EVENTS = st.lists(

@@ -11,7 +11,6 @@ from models.records import Phase
 from models.spindle_speed.tuning import (
     SpeedChoice,
     SpeedState,
-    SpeedTuningError,
     SpeedTuningInputs,
     SpeedTuningMemory,
     SpeedTuningSettings,
@@ -75,14 +74,6 @@ def test_a_target_must_last_and_then_moves_in_steps_inside_the_pocket() -> None:
         command, memory = step(memory, at(now_s, choice(8850.0, pocket)), SETTINGS)
         taken.append((command.speed_rpm, command.write, command.jump))
     assert taken == [(8700.0, True, False), (8800.0, True, False), (8800.0, False, False), (8800.0, False, False)]
-
-
-def test_a_target_that_goes_away_starts_the_dwell_anew() -> None:
-    memory = begun()
-    for now_s, speed in ((1.0, 8700.0), (15.0, 8700.0), (16.0, 8600.0), (17.0, 8700.0), (36.0, 8700.0)):
-        command, memory = step(memory, at(now_s, choice(speed)), SETTINGS)
-        assert not command.write
-    assert step(memory, at(37.0, choice(8700.0)), SETTINGS)[0].write
 
 
 def test_a_target_in_another_pocket_has_yet_to_last() -> None:
@@ -153,14 +144,6 @@ def test_disabling_returns_at_the_next_safe_block() -> None:
     assert (command.state, command.speed_rpm, command.write) == (SpeedState.OFF, 8000.0, True)
 
 
-def test_another_programmed_speed_is_another_operation() -> None:
-    memory = begun()
-    fresh = at(1.0, choice(5900.0), programmed_rpm=6000.0)
-    assert step(memory, replace(fresh, phase=Phase.CUTTING), SETTINGS)[0].speed_rpm == 8600.0
-    command, memory = step(memory, fresh, SETTINGS)
-    assert (command.speed_rpm, command.write) == (5900.0, True)
-
-
 @pytest.mark.parametrize("target", [None, choice(6000.0)])
 def test_an_operation_that_begins_without_data_runs_as_programmed(target: SpeedChoice | None) -> None:
     blocked = at(1.0, target, programmed_rpm=6000.0, flagged_span_rpm=1e3)
@@ -168,15 +151,6 @@ def test_an_operation_that_begins_without_data_runs_as_programmed(target: SpeedC
     assert (command.state, command.speed_rpm, command.write) == (SpeedState.HOLD, 6000.0, True)
     later = at(2.0, choice(6100.0), programmed_rpm=6000.0)
     assert step(memory, later, SETTINGS)[0].speed_rpm == 6100.0
-
-
-def test_the_filter_smooths_inside_a_pocket_only() -> None:
-    settings = replace(SETTINGS, filter_s=60.0, dwell_s=0.0)
-    memory = step(initial_memory(8000.0), at(0.0, choice(8600.0)), settings)[1]
-    command, memory = step(memory, at(1.0, choice(8700.0, (8000.0, 9000.0))), settings)
-    assert not command.write
-    assert 8600.0 < memory.target_rpm < 8610.0
-    assert step(memory, at(2.0, choice(6500.0, (6400.0, 6700.0))), settings)[0].speed_rpm == 6500.0
 
 
 def test_without_a_stable_speed_the_programmed_one_is_taken_however_near_the_command_is() -> None:
@@ -194,14 +168,6 @@ def test_a_failed_write_leaves_what_the_cnc_applies() -> None:
     memory = replace(begun(), commanded_rpm=8000.0)
     memory = step(memory, at(1.0, choice(8600.0, (7900.0, 9000.0))), SETTINGS)[1]
     assert step(memory, at(30.0, choice(8600.0, (7900.0, 9000.0))), SETTINGS)[0].speed_rpm == 8100.0
-
-
-def test_settings_answer_for_the_sensors_resolution() -> None:
-    SETTINGS.check_resolution(20.0)
-    with pytest.raises(SpeedTuningError, match="above 60"):
-        SETTINGS.check_resolution(30.0)
-    with pytest.raises(SpeedTuningError, match="hysteresis_rpm"):
-        SpeedTuningSettings(hysteresis_rpm=0.0, dwell_s=1.0, step_rpm=1.0)
 
 
 WISHES = st.one_of(

@@ -22,12 +22,6 @@ def limits(response: ModalResponse, cut: Cut) -> FloatArray:
     return zeroth_order_lobes(response, cut, from_rpm=4000.0, to_rpm=16000.0, points=60).limiting_depth_mm
 
 
-def test_what_is_known_exactly_has_no_band() -> None:
-    low, high = depth_band(limits, RESPONSE, CUT, NOTHING, draws=3)
-    expected = limits(RESPONSE, CUT)
-    assert low == pytest.approx(expected, rel=1e-12) and high == pytest.approx(expected, rel=1e-12)
-
-
 def test_a_gain_that_is_off_scales_every_limit_by_its_inverse() -> None:
     """One mode alone: the limit is inversely proportional to its size, so the band is that of exp(0.1 z)."""
     one = replace(RESPONSE, yy=())
@@ -68,23 +62,6 @@ def test_the_band_holds_cuts_that_it_has_not_seen() -> None:
         found = limits(ModalResponse(xx=(moved[0],), yy=(moved[1],)), cut)
         inside.append(np.mean((found >= low) & (found <= high)))
     assert 0.88 < np.mean(inside) < 0.99
-
-
-def test_a_band_is_the_same_every_time() -> None:
-    first, second = (depth_band(limits, RESPONSE, CUT, Uncertainty(), draws=5) for _ in range(2))
-    assert np.array_equal(first, second)
-
-
-def test_a_mode_that_stands_in_two_directions_moves_in_both() -> None:
-    seen = []
-    both = replace(RESPONSE, yy=RESPONSE.xx, xy=RESPONSE.xx)
-
-    def looked(response: ModalResponse, cut: Cut) -> FloatArray:
-        seen.append(response)
-        return np.ones(1)
-
-    depth_band(looked, both, CUT, Uncertainty(), draws=4)
-    assert all(each.xx == each.yy == each.xy for each in seen) and len({each.xx for each in seen}) == 4
 
 
 @pytest.mark.parametrize("share", [-0.1, 0.5, math.nan])

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.errors import StabilityError
 from models.spindle_speed.choice import SpeedDemand
 from models.spindle_speed.planner import MillingOperation, SpeedPlanner
 from models.spindle_speed.tool_point import EstimatedToolPoint
@@ -47,28 +46,6 @@ def test_it_says_what_the_spectral_radius_says() -> None:
         said.append(stable)
     assert True in said
     assert False in said
-
-
-def test_it_knows_helix_pitches_and_rubbing() -> None:
-    """Each tool is judged by its own radius, and none like its straight, even, undamped teeth everywhere."""
-    start_rad, exit_rad = engagement_rad(MillingMode.DOWN, 0.5, 10.0)
-    straight = replace(CUT, teeth=2, start_rad=start_rad, exit_rad=exit_rad, diameter_m=0.01)
-    light = ModalResponse(xx=(mode_from_stiffness(922.0, 0.011, 1.34e6),))
-    places = [(speed_rpm, depth_mm) for speed_rpm in (18_128.0, 18_500.0) for depth_mm in (0.7, 1.5, 2.2, 3.0)]
-    said = {}
-    for name, tool in {
-        "straight": straight,
-        "rubbing": replace(straight, process_damping_n_per_m=2e7),
-        "uneven": replace(straight, pitch_rad=(2.4, 2.0 * math.pi - 2.4)),
-        "helical": replace(straight, helix_rad=math.radians(60.0)),
-    }.items():
-        check = StabilityVerification(tool)
-        said[name] = [check.is_stable(light, *place, 0.0) for place in places]
-        for (speed_rpm, depth_mm), stable in zip(places, said[name], strict=True):
-            method = semi_discretisation(state_space(light, 0.0), tool, 80)
-            radius = float(spectral_radius(method, speed_rpm, np.array([depth_mm]))[0])
-            assert (-math.log(radius) * tool.teeth * speed_rpm / 60.0 >= 10.0) is stable
-    assert all(said[name] != said["straight"] for name in ("rubbing", "uneven", "helical")), said
 
 
 def test_a_stable_cut_of_a_lightly_damped_spindle_is_not_denied() -> None:
@@ -167,11 +144,6 @@ def test_every_doubt_denies_with_the_reason(response: SampledResponse, words: st
     assert not check.is_stable(response, 7000.0, 0.001, 0.02)
 
 
-def test_what_vibrates_too_often_from_tooth_to_tooth_is_denied() -> None:
-    denial = StabilityVerification(CUT).denial(MODES, 150.0, 0.001, 0.0)
-    assert denial.startswith("150 1/min cannot be verified: at 150 1/min the mode at 1390 Hz vibrates too often")
-
-
 def test_the_planner_leaves_out_what_does_not_pass() -> None:
     demand = SpeedDemand(programmed_rpm=10200.0, depth_mm=4.0, margin_fraction=0.2, tolerance_fraction=0.005)
     operation = MillingOperation(demand=demand, feed_mm_min=2040.0, teeth=4, range_rpm=(8200.0, 12000.0))
@@ -234,17 +206,3 @@ def test_where_every_speed_is_denied_the_programmed_one_stays_with_an_alarm() ->
     assert choice.speed_rpm == 10200.0
     assert not choice.stable
     assert "1/min is denied; the programmed 10200 1/min stays" in str(choice.alarm)
-
-
-def test_the_deepest_speed_is_verified_too() -> None:
-    demand = replace(OPERATION.demand, depth_mm=7.0, margin_fraction=1.0)
-    operation = replace(OPERATION, demand=demand)
-    known = warmer(1.0)
-    assert SpeedPlanner(operation, wide_lobes).choice(known).stable  # the lobes alone have one
-    assert not SpeedPlanner(operation, wide_lobes, DeniesAll(CUT)).choice(known).stable
-
-
-def test_dynamics_that_cannot_be_verified_give_no_plan() -> None:
-    planner = SpeedPlanner(OPERATION, lambda _: wide_lobes(MODES), StabilityVerification(CUT))
-    with pytest.raises(StabilityError, match="no sum of up to 12 modes"):
-        planner.choice(EstimatedToolPoint(response=sampled(NOISE * np.eye(2)), resonance_hz={}))

@@ -9,16 +9,14 @@ from config.machine.spindle_chain import read_spindle
 from models.dynamics.assembly import CondensedAssembly
 from models.dynamics.bearings import CondensedShaft, properties_from_parameters
 from models.dynamics.identification import FIXED
-from models.errors import IdentificationError
 from models.model_file import ModelError
 from models.quality import Quality
 from models.records import FloatArray, Instant, MachineTemperatures, Trace
 from models.thermomechanics.artifact import model_from_json, model_to_json
-from models.thermomechanics.fitting import INTERVALS_MIN, MinuteSeries, adjusted_r2, fit_axis, minute_series, solve
+from models.thermomechanics.fitting import INTERVALS_MIN, MinuteSeries, fit_axis
 from models.thermomechanics.history import TemperatureHistory
 from models.thermomechanics.regression import AxisRegression, Bounds, FittedRange, PropertyRegression
 from models.thermomechanics.resonance import peaks
-from models.thermomechanics.selection import correlation, select_signals
 from models.thermomechanics.series import identify_series
 from models.thermomechanics.tool_point import AxisTracker, ToolPointTracker
 
@@ -65,11 +63,6 @@ def test_a_regression_needs_every_parameter_once_and_the_right_number_of_coeffic
         PropertyRegression(name="kx", interval_min=0.0, coefficients=np.zeros(5), bounds=Bounds(lowest=0, highest=1))
     with pytest.raises(ModelError, match="bounds"):
         Bounds(lowest=2.0, highest=1.0)
-
-
-def test_an_unknown_temperature_is_refused_by_name() -> None:
-    with pytest.raises(ValueError, match="temperature of F is not known"):
-        linear_axis().estimate(np.array([20.0, 20.0, np.nan, 20.0]), {10.0: np.zeros(4)})
 
 
 def test_confidence_falls_outside_the_fitted_temperatures() -> None:
@@ -154,54 +147,7 @@ def test_least_squares_finds_the_interval_and_the_coefficients() -> None:
     assert axis.fitted_range is not None
 
 
-def test_a_level_that_never_moved_gets_no_coefficient() -> None:
-    rng = np.random.default_rng(5)
-    swing = np.cumsum(rng.normal(0.0, 0.5, (300, 3)), axis=0)
-    degc = np.column_stack([20.0 + swing, 20.0 + 0.01 * rng.standard_normal(300)])
-    target = 3.0 * swing[:, 0] + rng.normal(0.0, 0.3, 300)
-    table = np.column_stack([np.ones(300), degc])
-    level = np.array([0.0, 1.0, 1.0, 1.0, 1.0])
-    arbitrary, cautious = (float(solve(table, target, 4, ridge) @ level) for ridge in (0.0, 0.01))
-    assert abs(cautious) < 0.1 < abs(arbitrary)
-    assert solve(table, target, 4, 0.01)[1] == pytest.approx(3.0, rel=0.05)
-
-
-def test_adjusted_r2_charges_for_every_variable() -> None:
-    rng = np.random.default_rng(3)
-    table, target = np.column_stack([np.ones(60), rng.standard_normal((60, 20))]), rng.standard_normal(60)
-    assert adjusted_r2(table, target) == pytest.approx(0.0, abs=0.35)
-    assert adjusted_r2(table[:, :1], target) == pytest.approx(0.0, abs=1e-9)
-
-
-def test_too_few_minutes_and_missing_temperatures_are_refused() -> None:
-    with pytest.raises(IdentificationError, match="30 minutes cannot determine 13"):
-        fit_axis("y", SIGNALS, NAMES, [made_up(30, 1)], load_bounds(), FIXED[5])
-    recorded = np.arange(0.0, 5.0, 0.2)
-    with pytest.raises(IdentificationError, match="no minute of the responses"):
-        minute_series(np.array([1.0, 4.0]), np.ones((2, 5)), recorded, np.full((len(recorded), 4), 20.0))
-
-
-def test_properties_are_not_interpolated_over_long_gaps() -> None:
-    recorded = np.arange(-20.0, 120.0, 0.5)
-    degc = np.full((len(recorded), 4), 20.0)
-    values = np.array([[0.0], [10.0], [100.0]])
-    found = minute_series(np.array([0.0, 10.0, 100.0]), values, recorded, degc)
-    assert found.time_min.tolist() == [*range(12), 99.0, 100.0][: len(found.time_min)]
-    assert found.values[:11, 0] == pytest.approx(np.arange(11.0))
-
-
 # Sensors
-
-
-def test_one_of_each_group_of_like_signals_is_chosen() -> None:
-    rng = np.random.default_rng(4)
-    first, second = np.cumsum(rng.standard_normal((2, 400)), axis=1)
-    degc = np.column_stack([first, first + 0.3 * rng.standard_normal(400), second])
-    found = select_signals(("a", "b", "c"), degc, ("kt_34 y",), (2.0 * first - second)[:, None])
-    assert {frozenset(group) for group in found.groups} == {frozenset({"a", "b"}), frozenset({"c"})}
-    assert found.chosen == ("a", "c")
-    assert np.diag(found.autocorrelation) == pytest.approx(1.0)
-    assert correlation(degc[:, :1], -degc[:, :1])[0, 0] == pytest.approx(-1.0)
 
 
 # Series
@@ -291,14 +237,6 @@ def test_a_flagged_property_is_taken_to_both_ends_of_its_range() -> None:
     values = {each.name: each.value for each in found.properties}
     at_low = tracker.receptance({**FIXED[5], **values, "kt_5": bounds.lowest})
     assert min(abs(peak.frequency_hz - ends.at_lowest_hz) for peak in peaks(FREQUENCY_HZ, at_low)) < 1.0
-
-
-def test_a_signal_without_sensor_and_an_axis_without_regression_are_refused() -> None:
-    spindle = read_spindle(spindle_folder() / "simulated_machine.yaml")
-    with pytest.raises(ValueError, match="no sensor carries the label F"):
-        ToolPointTracker(published_model(), {"y": spindle.assembly()}, {"IR": (0,), "A": (1,), "Room": (2,)})
-    with pytest.raises(ValueError, match="no regression for axis z"):
-        ToolPointTracker(published_model(), {"z": spindle.assembly()}, LABELS)
 
 
 def test_a_property_whose_range_loses_the_mode_may_move_it_by_anything() -> None:

@@ -9,7 +9,6 @@ import pytest
 from models.recordings.dataset import DatasetError, Recording
 from models.thermal.linear import LinearModel
 from models.thermal.training.increment_family import IncrementChoices
-from models.thermal.training.making import sensor_ids_from_names
 from models.thermal.training.recipes import increment_recipe
 from models.thermal.training.train_family import FamilyTraining, train_family
 
@@ -76,15 +75,6 @@ def test_the_penalty_is_the_one_that_predicts_left_out_days_best() -> None:
     assert (auto.model.kind, model_of(days).kind) == ("ridge", "increments")
 
 
-def test_one_recording_is_cut_into_cycles_or_blocks() -> None:
-    assert trained([day(1, speed=True)]).fold_names == tuple(f"cycle {n}" for n in range(1, 7))
-    assert trained([day(1)]).fold_names == tuple(f"block {n}" for n in range(1, 6))
-
-
-def test_a_fit_of_everything_takes_differences_across_what_was_left_out_in_turn() -> None:
-    assert trained([day(1)], interval_min=20.0).counts["used"] == 220
-
-
 def test_a_recording_too_short_to_leave_anything_out_is_refused_with_the_reason() -> None:
     short = trained([day(1, rows=10)])
     assert short.trust.held_out is None and short.fold_names == ()
@@ -108,24 +98,12 @@ def test_jumps_at_switching_are_removed_from_training_and_kept_in_the_judgement(
     assert np.all(held_out.max_with_um > 7.0)
 
 
-def test_differences_across_a_change_of_speed_can_be_left_out() -> None:
-    result = trained([day(1, speed=True)], split_at_speed_changes=True)
-    assert result.counts["used"] == 12 * 19
-    with pytest.raises(DatasetError, match="the recording needs a speed column"):
-        trained([day(1)], split_at_speed_changes=True)
-
-
 def test_a_drift_is_fitted_per_minute() -> None:
     drifting = day(1, noise_k=0.0)
     drifting = replace(drifting, displacements_um=drifting.displacements_um + 0.03 * np.arange(240)[:, None])
     with_drift = model_of([drifting], intercept=True, interval_min=5.0)
     np.testing.assert_allclose(with_drift.drift_um_per_min, 0.03, rtol=1e-6)
     assert not model_of([drifting], interval_min=5.0).drift_um_per_min.any()
-
-
-def test_recordings_are_averaged_to_the_minute_first() -> None:
-    result = trained([day(1, rows=960, period_s=15.0)])
-    assert result.counts["used"] == 239
 
 
 def test_the_range_of_increments_holds_for_a_reference_at_any_earlier_time() -> None:
@@ -136,23 +114,6 @@ def test_the_range_of_increments_holds_for_a_reference_at_any_earlier_time() -> 
     values[100:, 0] = 18.0
     domain = model_of([replace(one, temperatures_degc=values)]).domain
     assert domain.of_increments and (domain.lowest[0], domain.highest[0]) == (-5.0, 3.0)
-
-
-def test_the_model_names_its_data() -> None:
-    model = trained([day(1), day(2)]).model
-    assert [data.name for data in model.training] == ["day 1", "day 2"]
-    assert (model.training[0].from_hours, model.training[0].rows) == (0.0, 240)
-    again = trained([day(1), day(2)]).model
-    assert (again.model_id, again.training) == (model.model_id, model.training)
-    other = replace(day(1), displacements_um=day(1).displacements_um + 1e-9)
-    assert trained([other, day(2)]).model.training[0].sha256 != model.training[0].sha256
-
-
-def test_progress_ends_at_its_total() -> None:
-    steps: list[tuple[int, int]] = []
-    recipe = increment_recipe(IncrementChoices())
-    train_family([day(1), day(2)], recipe, sample_s=60.0, created=CREATED, progress=lambda *step: steps.append(step))
-    assert steps == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
 
 def test_recordings_that_do_not_belong_together_are_refused() -> None:
@@ -166,15 +127,6 @@ def test_recordings_that_do_not_belong_together_are_refused() -> None:
     kelvin = replace(day(2), temperatures_degc=day(2).temperatures_degc + 273.15)
     with pytest.raises(DatasetError, match=r"day 2: column T3: .*kelvin"):
         trained([day(1), kelvin])
-
-
-def test_averaging_over_too_long_a_time_is_said_with_the_rows_that_remain() -> None:
-    with pytest.raises(
-        DatasetError, match=r"day 1: averaged to sample_s 1e\+09 s, 1 of 240 rows remain, too few for 5"
-    ):
-        trained([day(1)], sample_s=1e9)
-    with pytest.raises(DatasetError, match="no multiple of the 300 s between rows; choose 5 min or a multiple"):
-        trained([day(1, period_s=300.0)], interval_min=1.0)
 
 
 def test_a_single_impossible_value_changes_no_more_than_a_missing_one() -> None:
@@ -194,11 +146,3 @@ def test_temperatures_that_never_change_make_no_model() -> None:
     still = replace(day(1), temperatures_degc=np.full((240, 5), 25.0))
     with pytest.raises(DatasetError, match="no temperature can be used; every one is constant"):
         trained([still])
-
-
-def test_sensor_ids_are_the_numbers_of_the_columns_or_their_places() -> None:
-    assert sensor_ids_from_names(("T301", "T2", "t7")) == (301, 2, 7)
-    assert sensor_ids_from_names(("301", "2", "7")) == (301, 2, 7), "as loggers call their channels"
-    assert sensor_ids_from_names(("room", "T2")) == (1, 2)
-    assert sensor_ids_from_names(("T2", "t2")) == (1, 2)
-    assert sensor_ids_from_names(("T0", "T1")) == (1, 2)

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from models.control.probing import BiasFilter
 from models.recordings.dataset import DatasetError, Recording
@@ -12,13 +10,11 @@ from models.thermal.features import lag_table
 from models.thermal.solution import band_factor, leverage_and_size
 from models.thermal.training.domain import farthest_leverage, leverage_positions
 from models.thermal.training.families import DEFAULT_DESIGNS, MeanOfRidges
-from models.thermal.training.folds import cycles, few_folds_factor, inner_folds, spindle_starts
+from models.thermal.training.folds import cycles, few_folds_factor, inner_folds
 from models.thermal.training.inputs import build_inputs
-from models.thermal.training.probing import probed_residual_um, wander_um2_per_min
+from models.thermal.training.probing import probed_residual_um
 from models.thermal.training.trust import (
-    excursions,
     fit_bias_filter,
-    independent_folds,
     judge,
     recent_skill,
 )
@@ -43,19 +39,6 @@ def warming(hours: int = 10, speed: bool = True) -> Recording:
     slow = lag_table(time_min, (rpm / 4000.0)[:, None], (25.0,))[0, :, 0]
     degc = 20.0 + np.column_stack([8.0 * slow, 5.0 * slow]) + rng.normal(0.0, 0.02, (len(rpm), 2))
     return recording(15.0 * slow, degc, rpm if speed else None)
-
-
-def test_spindle_starts_ignore_a_trickle_of_noise() -> None:
-    speed_rpm = np.array([0.4, 0.0, 3000.0, 3000.0, 0.9, 0.2, 1500.0, 0.0])
-    assert spindle_starts(speed_rpm).tolist() == [2, 6]
-    assert spindle_starts(np.array([500.0, 500.0])).tolist() == [0]
-    assert spindle_starts(np.zeros(4)).tolist() == []
-
-
-def test_a_cycle_runs_from_one_start_to_the_next() -> None:
-    inputs = build_inputs([warming()], sample_s=60.0)
-    found = cycles(inputs, np.ones(inputs.rows, dtype=np.bool_))
-    assert [(int(np.argmax(mask)), int(mask.sum())) for mask in found] == [(120 * i, 120) for i in range(5)]
 
 
 def test_what_is_left_out_are_cycles_blocks_or_runs() -> None:
@@ -120,14 +103,6 @@ def test_a_band_widens_in_proportion_to_the_distance_beyond_the_domain() -> None
     assert band_factor(np.array([0.3 * farthest, 4.0])).tolist() == [1.0, 4.0]
 
 
-def test_blocks_of_two_cycles_count_as_two() -> None:
-    two = build_inputs([warming(hours=4)], sample_s=60.0)
-    silent = build_inputs([warming(hours=4, speed=False)], sample_s=60.0)
-    rows = np.ones(two.rows, dtype=np.bool_)
-    assert independent_folds(two, rows, 5) == 2
-    assert independent_folds(silent, rows, 5) == 5
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_a_machine_that_wanders_on_its_own_is_refused(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -150,25 +125,9 @@ def test_one_warm_up_alone_is_refused() -> None:
     assert "record 2 more runs of about 4 h, each warming for half of the time and then cooling" in refused
 
 
-def test_excursions_count_alternating_moves_and_no_noise() -> None:
-    time_min = np.arange(600.0)
-    wave = 10.0 * np.sin(2.0 * np.pi * time_min / 200.0)
-    noise = np.random.default_rng(0).normal(0.0, 1.0, 600)
-    for um, least, most in ((wave, 5, 7), (0.01 * time_min, 1, 1), (noise, 0, 0)):
-        inputs = build_inputs([recording(um, np.zeros((600, 1)), None)], sample_s=60.0)
-        assert least <= excursions(inputs, np.ones(600, dtype=np.bool_)) <= most
-
-
 def test_few_folds_widen_the_band() -> None:
     factors = [few_folds_factor(folds) for folds in range(2, 12)]
     assert factors == sorted(factors, reverse=True) and factors[-1] == 1.0
-
-
-def test_a_probe_without_noise_resets_the_offset() -> None:
-    time_min = np.arange(0.0, 200.0)
-    residual_um = np.where(time_min >= 30.0, 5.0, 0.0)[:, None]
-    corrected = probed_residual_um(time_min, residual_um, 60.0)
-    assert np.all(corrected[30:60] == 5.0) and np.all(corrected[60:] == 0.0)
 
 
 def test_a_noisy_probe_is_believed_in_part_and_never_beyond_its_bound() -> None:
@@ -194,13 +153,6 @@ def test_against_noisy_probes_the_filter_beats_the_full_reset() -> None:
         for f in (kalman, reset)
     ]
     assert rmse[0] < 0.8 * rmse[1]
-
-
-@given(st.floats(0.1, 5.0))
-def test_the_wander_of_a_ramp_is_its_slope(slope: float) -> None:
-    time_min = np.arange(0.0, 300.0)
-    found = wander_um2_per_min(time_min, slope * time_min[:, None], 60.0)[0]
-    assert found == pytest.approx((slope * 60.0) ** 2 / 60.0)
 
 
 @pytest.mark.parametrize("noise_um", [0.0, 0.05, 1.0])

@@ -1,6 +1,5 @@
 """The watch of the temperature sensors: what is found, when, and what is not."""
 
-import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -8,12 +7,11 @@ import pytest
 
 from models.recordings.dataset import Recording
 from models.records import FloatArray
-from models.thermal.features import Layout, lag_table
+from models.thermal.features import lag_table
 from models.thermal.sensor_watch import SensorWatch, departure_maps, without_columns
-from models.thermal.solution import KNOWN_SHARE, far_confidence
 from models.thermal.training.folds import inner_folds
 from models.thermal.training.inputs import build_inputs
-from models.thermal.training.watch_fit import _few_runs_factor, fit_watch, smoothed
+from models.thermal.training.watch_fit import fit_watch
 from models.thermal.watch import Watcher, WatchState, usual_step_k
 
 SENSORS = 6
@@ -60,15 +58,6 @@ def follow(
         speed_rpm = float(whole.speed_rpm[row])
         state = watcher.step(state, float(row), degc[row], speed_rpm, find_faults=row >= first)
     return state
-
-
-def test_limits_of_few_runs_are_wider_because_the_next_run_may_differ_more() -> None:
-    """The largest of three left-out runs is exceeded by every fourth run of a healthy machine."""
-    found = []
-    for runs in (1, 2, 3, 5, 8, 12):
-        inputs = build_inputs([recording(1 + run % 2) for run in range(runs)], sample_s=60.0)
-        found.append(_few_runs_factor(inputs, np.ones(inputs.rows, dtype=np.bool_)))
-    np.testing.assert_allclose(found, [1.0, 1.471, 1.471, 1.196, 1.104, 1.0], atol=1e-3)
 
 
 def test_a_healthy_machine_blames_nobody(watch: SensorWatch, whole: Recording) -> None:
@@ -150,12 +139,6 @@ def test_two_faults_one_after_the_other_are_both_found(watch: SensorWatch, whole
     assert follow(watch, whole, degc).excluded == (1, 5)
 
 
-def test_without_blame_only_the_memory_is_filled(watch: SensorWatch, whole: Recording) -> None:
-    degc = whole.temperatures_degc.copy()
-    degc[300:, 0] += 50.0
-    assert follow(watch, whole, degc, first=10**9).faults == ()
-
-
 def test_leaving_columns_out_of_a_precision_is_inverting_without_them() -> None:
     rng = np.random.default_rng(2)
     samples = rng.normal(size=(50, 6))
@@ -164,18 +147,6 @@ def test_leaving_columns_out_of_a_precision_is_inverting_without_them() -> None:
     found = without_columns(np.linalg.inv(covariance), [1, 4])(kept)
     np.testing.assert_allclose(found[:, kept], np.linalg.inv(covariance[np.ix_(kept, kept)]), rtol=1e-9)
     assert np.all(found[:, [1, 4]] == 0.0)
-
-
-def test_predictions_of_hundreds_of_sensors_take_little_more_memory_than_they_are() -> None:
-    layout = Layout(sensors=302, lags_min=(10.0, 90.0), speed_lags_min=(10.0, 90.0))
-    precision = np.eye(layout.columns, dtype=np.float32)
-    tracemalloc.start()
-    try:
-        maps, _ = departure_maps(layout, precision, np.ones(layout.columns), (3, 77))
-        _, most_bytes = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert most_bytes < 2.5 * maps.nbytes, "and not several times the precision in double"
 
 
 def test_a_departure_is_the_residual_of_a_ridge_regression_on_the_other_sensors(
@@ -201,13 +172,6 @@ def test_a_constant_sensor_neither_counts_nor_disturbs(whole: Recording) -> None
     fitted = fit_watch([flat], 60.0, rows, inner_folds(inputs, rows)[0])
     assert np.isfinite(fitted.precision).all()
     assert follow(fitted, flat, degc).faults == ()
-
-
-def test_a_smoothed_step_follows_its_time_constant() -> None:
-    time_min = np.array([0.0, 1.0, 11.0])
-    found = smoothed(time_min, np.array([[0.0], [1.0], [1.0]]), 10.0)[:, 0]
-    assert found[1] == pytest.approx(1.0 - np.exp(-0.1))
-    assert found[2] == pytest.approx(1.0 - np.exp(-1.1))
 
 
 def in_steps(recorded: Recording, step_k: float = 0.25) -> Recording:
@@ -351,10 +315,3 @@ def test_a_sensor_that_begins_on_a_coarse_step_and_shows_finer_values_has_the_li
 )
 def test_a_value_tells_the_usual_step_that_it_is_a_multiple_of(degc: float, step_k: float) -> None:
     assert usual_step_k(np.array([degc])) == pytest.approx([step_k])
-
-
-def test_far_in_a_direction_that_training_knows_is_not_far() -> None:
-    assert far_confidence(11.5, 0.0) == 1.0
-    assert far_confidence(16.0, 2.0 * KNOWN_SHARE) == 0.0
-    assert far_confidence(12.0, KNOWN_SHARE) == pytest.approx(0.5, abs=1e-3)
-    assert far_confidence(12.0, KNOWN_SHARE) < far_confidence(12.0, 0.5 * KNOWN_SHARE) < 1.0

@@ -41,13 +41,6 @@ def test_numbers_that_are_not_finite_are_bad_usage(arguments, number):
     assert "finite" in finished.stderr or "range" in finished.stderr
 
 
-def test_a_folder_that_is_not_empty_is_refused(tmp_path):
-    (tmp_path / "mine.txt").write_text("mine", encoding="utf-8")
-    assert "not empty" in refused("demo", "--headless", "--directory", tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
-    assert "cannot be used" in refused("demo", "--headless", "--directory", tmp_path / "mine.txt" / "below")
-
-
 @pytest.mark.parametrize(
     ("script", "words"),
     [
@@ -63,15 +56,6 @@ def test_a_fault_script_is_read_before_anything_starts(tmp_path, script, words):
     assert not (tmp_path / "run").exists()
 
 
-def test_a_destination_that_cannot_be_written_is_refused_before_the_run(tmp_path):
-    said = refused(
-        "demo", "--headless", "--json", tmp_path / "missing" / "result.json", "--directory", tmp_path / "run"
-    )
-    assert "there is no folder" in said
-    assert "is a folder" in refused("doctor", "--json", tmp_path)
-    assert not (tmp_path / "run").exists()
-
-
 def test_a_run_that_breaks_off_shows_the_end_of_logs_that_are_removed(capsys):
     with pytest.raises(SystemExit) as ended, simulation_folder(None) as folder:
         (folder / "daemon.log").write_text("".join(f"line {number}\n" for number in range(9)), encoding="utf-8")
@@ -81,13 +65,6 @@ def test_a_run_that_breaks_off_shows_the_end_of_logs_that_are_removed(capsys):
     assert ended.value.code == 1 and not folder.exists()
     assert "status 3" in said and "line 4" in said and "line 8" in said and "port taken" in said
     assert "line 3" not in said and str(folder) not in said
-
-
-def test_a_run_that_breaks_off_names_the_folder_that_stays(tmp_path, capsys):
-    with pytest.raises(SystemExit), simulation_folder(tmp_path / "run"):
-        raise SimulationError("the daemon ended with status 3")
-    assert str(tmp_path / "run") in capsys.readouterr().err
-    assert (tmp_path / "run").is_dir()
 
 
 def recording_and_model(folder, names=("T1", "T2"), channels=("Y1", "Z1")):
@@ -138,9 +115,3 @@ def test_an_unknown_command_gets_a_suggestion() -> None:
     refused = CliRunner().invoke(main, ["statsu"])
     assert refused.exit_code == 2 and "No such command 'statsu'; did you mean 'status'?" in refused.output
     assert "`toolpoint --help` lists all" in CliRunner().invoke(main, ["xyzzy"]).output
-
-
-def test_commands_are_completed() -> None:
-    asked = {"_TOOLPOINT_COMPLETE": "bash_complete", "COMP_WORDS": "toolpoint mon", "COMP_CWORD": "1"}
-    completed = CliRunner().invoke(main, prog_name="toolpoint", env=asked)
-    assert completed.output.split() == ["plain,monitor"]

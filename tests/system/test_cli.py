@@ -123,12 +123,6 @@ def test_bad_usage_ends_with_2(arguments):
     assert finished.stderr and finished.stdout == ""
 
 
-def test_the_process_ends_with_that_status_too():
-    finished = toolpoint("demo", "--headles")
-    assert finished.returncode == 2 and finished.stdout == ""
-    assert "No such option" in finished.stderr and "Traceback" not in finished.stderr
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [

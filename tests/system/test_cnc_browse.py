@@ -60,20 +60,6 @@ def test_variables_of_another_server_are_known_by_their_usual_names() -> None:
 
 
 @pytest.mark.parametrize(
-    "nothing", [shown(), shown(("s=Temperature", "Temperature", 20.0)), shown(("s=Mode", "Mode", "x"))]
-)
-def test_nothing_is_proposed_where_nothing_has_a_usual_name(nothing: Browsed) -> None:
-    assert propose(nothing) is None
-
-
-def test_the_namespace_with_most_of_them_is_taken() -> None:
-    one, many = shown(("s=Mode", "Mode", 1), namespace="urn:b"), shown(*OTHERS)
-    both = Browsed(namespaces=("0", "urn:b", "urn:a"), variables=one.variables + many.variables, complete=True)
-    proposal = propose(both)
-    assert proposal is not None and proposal.namespace == "urn:a"
-
-
-@pytest.mark.parametrize(
     ("arguments", "words"),
     [
         ((), "name the server"),

@@ -1,7 +1,6 @@
 """What somebody meets who has never used the command: the list of commands, a missing file, a fresh sample."""
 
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -91,24 +90,9 @@ def test_what_commissioning_would_refuse_is_said_by_the_check(
     assert found.exit_code == status
 
 
-def test_the_long_commands_say_what_they_ask_for() -> None:
-    commission = " ".join(toolpoint("commission", "--help").output.split())
-    for words in ("have the guard called", "tool relative to the work along the axis [um]", "LEFT BEHIND"):
-        assert words in commission
-    assert "about two minutes" in toolpoint("faults", "--help").output
-
-
 def test_a_full_disk_behind_the_output_is_told_in_a_sentence() -> None:
     command = [sys.executable, "-m", "daemon.cli", "sample-config"]
     with Path("/dev/full").open("wb") as full:
         ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert ended.returncode == 1
     assert ended.stderr == "what was printed ends in the middle: No space left on device\n"
-
-
-def test_characters_that_the_terminal_does_not_have_end_no_command() -> None:
-    said = "import sys; from daemon.cli import main; import click; main.main(['--version'], standalone_mode=False); "
-    said += "print('\\u2192')"
-    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
-    ended = subprocess.run([sys.executable, "-c", said], env=environment, check=False, capture_output=True, text=True)
-    assert (ended.returncode, ended.stderr) == (0, "") and ended.stdout.endswith("\\u2192\n")

@@ -8,7 +8,6 @@ from click.testing import CliRunner, Result
 from config.machines import shipped_file
 from daemon.cli import main
 from drivers.sim.nc.custom_macro import compile_programs
-from drivers.sim.nc.sinumerik import compile_archive
 
 CONFIGURATION = str(shipped_file("cfrpmt.yaml"))
 
@@ -24,22 +23,6 @@ def test_prints_the_programs_of_the_machine() -> None:
     assert set(compile_programs(printed.output)) == {9010, 9011, 9012}
 
 
-def test_policy_and_number_come_from_the_command_line() -> None:
-    printed = guard("--policy", "zero", "--program", 8100)
-    assert printed.exit_code == 0
-    assert "(POLICY ZERO, STEP BY STEP." in printed.stdout and "POLICY KEEP" not in printed.stdout
-    assert set(compile_programs(printed.stdout)) == {8100, 8101, 8102}
-    assert "cnc.guard.on_expiry" in printed.stderr and "cnc.guard" not in guard().stderr
-
-
-def test_another_dialect_is_printed_for_the_asking_and_said_to_be_another() -> None:
-    printed = guard("--dialect", "sinumerik")
-    assert printed.exit_code == 0 and "dialect" in printed.stderr
-    assert set(compile_archive(printed.stdout)) == {"TP9010", "TP9011", "TP9012", "TP9015"}
-    refused = guard("--dialect", "linuxcnc", "--sheet", "sheet.md")
-    assert refused.exit_code == 2 and "there is no sheet for LinuxCNC" in refused.output
-
-
 def test_the_sheet_of_a_sinumerik_speaks_of_its_own_things(tmp_path: Path) -> None:
     sheet = tmp_path / "sheet.md"
     assert guard("--dialect", "sinumerik", "--sheet", sheet).exit_code == 0
@@ -47,14 +30,6 @@ def test_the_sheet_of_a_sinumerik_speaks_of_its_own_things(tmp_path: Path) -> No
     for words in ("| start | TP9015 |", "SD43900", "MD32750", "$AC_TIMER[1] plus 60", "never on a SINUMERIK"):
         assert words in text, words
     assert not any(words in text for words in ("#", "G65P", "EXT", "FANUC")[1:]) and "#5" not in text
-
-
-def test_writes_new_files_only(tmp_path: Path) -> None:
-    programs = tmp_path / "O9010.nc"
-    assert guard("--output", programs).exit_code == 0
-    assert programs.read_text("ascii") == guard().output
-    again = guard("--output", programs)
-    assert again.exit_code == 2 and "exists already" in again.output
 
 
 @pytest.mark.parametrize("suffix,beginning", [(".html", "<!doctype html>"), (".md", "# Commissioning sheet")])

@@ -1,7 +1,6 @@
 """A model is released while the machine runs: the daemon takes it up, the output does not jump."""
 
 import json
-import os
 import signal
 import time
 from dataclasses import replace
@@ -94,26 +93,3 @@ def test_a_model_released_meanwhile_is_taken_up_at_work(tmp_path: Path) -> None:
         assert first_said.startswith("ridge-") and "release 1 by " in first_said
         assert second_said.startswith("half-as-much-again, sha256 ") and "release 2 by " in second_said
         assert third_said.startswith("refused: ") and "the model in use stays" in third_said
-
-
-def a_reload_waits() -> None:
-    """Ask for a reload before the daemon's program has begun; the kernel keeps it until somebody serves it."""
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
-    os.kill(os.getpid(), signal.SIGHUP)
-
-
-def test_requests_during_start_and_during_stop_end_nothing(tmp_path: Path) -> None:
-    with on_wires(tmp_path, speed=60.0) as wires:
-        wires.running.daemon.send_signal(signal.SIGTERM)
-        assert wires.running.daemon.wait(FOREVER_S) == 0
-        wires.running.client.close()
-        wires.start_daemon(preexec_fn=a_reload_waits)
-        wires.wait("the reload", lambda _: any(entry["event"] == "model.reload" for entry in wires.log))
-        wires.running.client.close()
-        wires.running.daemon.send_signal(signal.SIGTERM)
-        while wires.running.daemon.poll() is None:
-            wires.running.daemon.send_signal(signal.SIGHUP)
-            time.sleep(0.001)
-        assert wires.running.daemon.returncode == 0
-        wires.start_daemon()
-        wires.check_nothing_broke()

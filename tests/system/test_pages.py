@@ -170,18 +170,6 @@ async def test_every_page_against_the_running_demonstration(demo, axe):
 
 
 @pytest.mark.wires
-async def test_the_overview_moves_and_says_how_one_knows(demo):
-    async with overview(demo[0]) as seen:
-        await expect(seen.page.locator("#state")).to_contain_text("ACTIVE", timeout=PATIENCE_MS)
-        await expect(seen.page.locator(".checks .yes").first).to_be_visible()
-        first = await seen.text("#axis-z")
-        await expect(seen.page.locator("#axis-z")).not_to_have_text(first, timeout=PATIENCE_MS)
-        assert "24.7 s" in await seen.text("main")
-        await expect(seen.page.locator("figure canvas").first).to_be_visible(timeout=PATIENCE_MS)
-        assert await seen.page.locator("button", has_text="Switch on").count() == 0
-
-
-@pytest.mark.wires
 async def test_how_much_and_how_fast(demo, capsys):
     base, _ = demo
     async with chromium() as browser:
@@ -288,17 +276,6 @@ async def test_an_axis_with_a_slope_says_where_its_numbers_hold_and_what_is_not_
         await asyncio.gather(task, return_exceptions=True)
 
 
-async def test_without_javascript_the_page_says_so_and_where_the_numbers_are(tmp_path):
-    async with monitor(tmp_path) as bench, chromium() as browser:
-        seen = await watched(browser, f"http://127.0.0.1:{bench.port}/", java_script_enabled=False)
-        await seen.page.goto(seen.base)
-        text = await seen.text("body")
-        assert "These pages need JavaScript" in text and "Loading" not in text
-        for name in ("metrics", "status", "health"):
-            place = await seen.page.get_by_role("link", name=name, exact=True).get_attribute("href")
-            assert (await bench.browser().get(place)).status == 200
-
-
 async def test_a_keyboard_alone_reaches_a_sensor_of_another_page(tmp_path):
     async with monitor(tmp_path) as bench, chromium() as browser:
         await bench.rig.active()
@@ -365,20 +342,6 @@ async def test_an_acknowledgement_says_that_the_axes_follow_again_and_they_do(tm
         await seen.page.locator("dialog button[type=submit]").click()
         await expect(seen.page.locator("#state")).to_contain_text("ACTIVE", timeout=PATIENCE_MS)
         turning.cancel()
-
-
-async def test_a_download_that_cannot_be_made_says_why(tmp_path):
-    async with monitor(tmp_path) as bench, chromium() as browser:
-        await bench.rig.active()
-        seen = await watched(browser, f"http://127.0.0.1:{bench.port}/")
-        await seen.open("history")
-        async with seen.page.expect_popup() as asked:
-            await seen.page.get_by_text("recording (CSV)").click()
-        said = await asked.value
-        await expect(said.locator("body")).to_contain_text("displacements", timeout=PATIENCE_MS)
-        async with seen.page.expect_download() as kept:
-            await seen.page.get_by_text("writes (CSV)").click()
-        assert (await kept.value).suggested_filename.startswith("writes-")
 
 
 async def keep_following(bench: MonitorBench) -> None:

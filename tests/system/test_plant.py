@@ -196,43 +196,6 @@ def test_compose_takes_the_file_with_its_ports_and_passwords(compose: list[str])
     assert services["grafana"]["depends_on"]["database"]["condition"] == "service_healthy"
 
 
-def test_what_the_containers_name_lies_in_their_volumes() -> None:
-    """The files that are mounted are there; what must last lies in a volume, at the place that the image writes to."""
-    services = yaml.safe_load((FOLDER / "compose.yaml").read_text("utf-8"))["services"]
-    mounted = {name: [each.split(":") for each in service["volumes"]] for name, service in services.items()}
-    for name, mounts in mounted.items():
-        assert all((FOLDER / source).exists() for source, *_ in mounts if source.startswith(".")), name
-    (kept,) = (target for source, target, *_ in mounted["broker"] if source == "broker")
-    assert f"persistence_location {kept}/\n" in (FOLDER / "mosquitto.conf").read_text("utf-8")
-    dashboards = services["grafana"]["environment"]["TOOLPOINT_DASHBOARDS"]
-    assert [source for source, target, *_ in mounted["grafana"] if target == dashboards] == ["./grafana/dashboards"]
-    home = Path(services["grafana"]["environment"]["GF_DASHBOARDS_DEFAULT_HOME_DASHBOARD_PATH"])
-    assert home.parent == Path(dashboards) and (FOLDER / "grafana/dashboards" / home.name).exists()
-
-
-def test_docker_without_an_engine_is_no_docker() -> None:
-    """What was asked for is refused in words; left out, the packages are taken (`test_the_box_runs_...`)."""
-    done = subprocess.run(
-        [sys.executable, str(FOLDER / "plant.py"), "--way", "compose"],
-        env=os.environ | {"DOCKER_HOST": "unix:///nowhere/docker.sock"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 1 and done.stderr.startswith("`docker info`") and "Traceback" not in done.stderr
-
-
-def test_grafana_gets_every_variable_that_its_files_name() -> None:
-    compose = yaml.safe_load((FOLDER / "compose.yaml").read_text("utf-8"))
-    provisioning = "".join(path.read_text("utf-8") for path in (FOLDER / "grafana/provisioning").rglob("*.yaml"))
-    named = set(re.findall(r"\$(TOOLPOINT_\w+)", provisioning))
-    assert named and named <= set(compose["services"]["grafana"]["environment"])
-    assert named <= set(re.findall(r'"(TOOLPOINT_\w+)"', (FOLDER / "plant.py").read_text("utf-8")))
-    (source,) = yaml.safe_load((FOLDER / "grafana/provisioning/datasources/toolpoint.yaml").read_text())["datasources"]
-    used = {json.dumps(each["datasource"]) for each in (*DASHBOARD["panels"], *DASHBOARD["templating"]["list"])}
-    assert used == {json.dumps({"type": source["type"], "uid": source["uid"]})}
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(PROGRAM is None or not FOLDERS, reason="mosquitto or postgresql is not installed")
 def test_the_box_runs_from_debians_packages(tmp_path: Path) -> None:

@@ -103,20 +103,6 @@ def test_check_reads_the_box_and_says_that_it_is_not_encrypted(tmp_path: Path, b
     assert finding["passed"] and "7 sensors" in finding["detail"] and "NOT encrypted" in finding["detail"]
 
 
-def test_no_source_and_a_wrong_key_are_refused_in_words(tmp_path: Path) -> None:
-    runner = CliRunner()
-    without = tmp_path / "sample.yaml"
-    runner.invoke(main, ["sample-config", "--output", str(without)])
-    nothing = runner.invoke(main, ["sources", "read", "--config", str(without)])
-    assert nothing.exit_code == 2 and "temperatures.sources names no source" in nothing.output
-    wrong = runner.invoke(main, ["check", "--no-devices", "--config", str(described(tmp_path, unitid=3))])
-    assert wrong.exit_code == 2
-    assert "toolpoint.yaml:" in wrong.output
-    assert "temperatures.sources[0].modbus.unitid: unknown key; did you mean `unit_id`?" in wrong.output
-    refused = runner.invoke(main, ["demo", "--headless", "--sensors", "modbus", "--faults", str(without)])
-    assert refused.exit_code == 2 and "a fault script plays on LATSIS lines" in refused.output
-
-
 @pytest.mark.wires
 @pytest.mark.slow
 @pytest.mark.parametrize("sensors", ["modbus", "mqtt"])
@@ -179,18 +165,6 @@ def test_a_scan_that_finds_nothing_says_what_to_try(tmp_path: Path) -> None:
     assert empty.exit_code == 1 and "the kernel shows no temperature" in empty.output
     silent = runner.invoke(main, ["sources", "scan", "mqtt", "127.0.0.1:1", "--seconds", "0.5"])
     assert silent.exit_code == 1 and "127.0.0.1:1 cannot be reached" in silent.output
-
-
-def test_a_scan_of_the_kernel_lists_its_files(tmp_path: Path) -> None:
-    for name, text in (("bus/w1/devices/28-01/temperature", "21500"), ("class/hwmon/hwmon0/temp1_input", "40000")):
-        (tmp_path / name).parent.mkdir(parents=True)
-        (tmp_path / name).write_text(text)
-    runner = CliRunner()
-    found = runner.invoke(main, ["sources", "scan", "kernel", str(tmp_path)])
-    assert found.exit_code == 0, found.output
-    assert "# 1-Wire: 21.5 degC" in found.output and "# hwmon: 40 degC" in found.output
-    read = runner.invoke(main, ["sources", "read", "--config", str(pasted(found.stdout, tmp_path / "t.yaml"))])
-    assert read.exit_code == 0, read.output
 
 
 class Gateway:

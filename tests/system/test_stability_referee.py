@@ -38,15 +38,6 @@ def test_helix_pitches_and_damping_agree_off_the_boundary() -> None:
     assert same.all(), [cases.described[i] for i in np.flatnonzero(~same)]
 
 
-def test_what_keeps_contact_grows_beyond_all_numbers_and_is_not_stable() -> None:
-    uneven = replace(
-        benchmark_cut(60.0, 15962.8, "slot", 10.0), pitch_rad=(3.0, 2.0 * math.pi - 3.0), keeps_contact=True
-    )
-    assert not is_stable(uneven, 120, 40)[0]
-    shallow = replace(uneven, axial_depth_m=np.array([5e-5]))
-    assert is_stable(shallow, 120, 40)[0]
-
-
 def benchmark_cut(depth_mm: float, speed_rpm: float, milling: str, radial_mm: float) -> MillingCuts:
     first, last = arc_of(milling, radial_mm * 1e-3, 10e-3)
     return MillingCuts(
@@ -105,20 +96,6 @@ def test_a_flip_lobe_vibrates_at_half_the_tooth_passing_frequency() -> None:
     lines_hz = np.fft.rfftfreq(len(tail), 1.0 / (passing_hz * 120))
     off_harmonics = np.abs(lines_hz / passing_hz - np.rint(lines_hz / passing_hz)) > 0.1
     assert lines_hz[off_harmonics][np.argmax(spectrum[off_harmonics])] == pytest.approx(1.5 * passing_hz, rel=0.02)
-
-
-def test_a_helix_of_one_pitch_cuts_evenly() -> None:
-    straight = benchmark_cut(0.2, 15000.0, "slot", 10.0)
-    helical = MillingCuts(
-        **{name: getattr(straight, name) for name in MillingCuts.__slots__ if name not in ("helix_lag_rad", "slices")},
-        helix_lag_rad=np.array([math.pi]),
-        slices=16,
-    )
-    spread = {}
-    for name, cuts in (("straight", straight), ("helical", helical)):
-        forces = np.array([sample.force_n[0] for sample in mill(cuts, 40, 160)])[-320:]
-        spread[name] = float(np.ptp(forces[:, 1]))
-    assert spread["helical"] < 0.1 * spread["straight"]
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from control_rig import EPOCH_S, SENSOR_IDS, HandClock, Rig, running
 from memory_cnc import MemoryNc
 from whole_loop import WholeLoop
 
-from config.loader import load_configuration, load_with_warnings
+from config.loader import load_configuration
 from config.records.commissioning import commissioning_inhibit, load_commissioning, macro_map_digest
 from config.schema import Configuration
 from config.yaml_document import RENAMED
@@ -37,7 +37,6 @@ from models.control.state import OperatorRequest
 from models.records import Instant, Reference
 from models.thermal.estimation import Machine
 from models.thermal.family import model_from_json as thermal_model_from_json
-from models.thermomechanics.artifact import model_from_json
 
 OLD = Path(__file__).parents[1] / "fixtures/version_0_1_0"
 EVER = (0.0, 1e11)
@@ -169,16 +168,6 @@ def spindle_names(content: Any) -> Any:
         if "spindles" in content:
             content["spindles"] = {axis: Path(path).name for axis, path in content["spindles"].items()}
     return [spindle_names(each) for each in content] if isinstance(content, list) else content
-
-
-def test_a_key_with_a_new_name_is_told() -> None:
-    _, warnings = load_with_warnings(OLD / "config/toolpoint.yaml")
-    told = {warning.key for warning in warnings}
-    assert told == {*RENAMED, "cnc.macros.check"}, "the file holds every key of 0.1.0 that has one"
-
-
-def test_every_configuration_is_tried() -> None:
-    assert set(expected("config_expected.json")) == {path.name for path in (OLD / "config").glob("toolpoint*.yaml")}
 
 
 # --- commissioning ---------------------------------------------------------------------------
@@ -455,19 +444,6 @@ def test_model_files_give_the_same_estimates(name: str, rewritten: bool, series:
             factor, before = float(np.max(seen.pop("band_factor"))), rows[row]["band_factor"]
             assert factor >= before - 1e-9 if found.imputed else factor == pytest.approx(before, rel=1e-9), f"row {row}"
             agree(plain(seen), {k: rows[row][k] for k in seen}, f"row {row}")
-
-
-@pytest.mark.parametrize("name", ["bearings_simple", "bearings_fitted", "bearings_published"])
-def test_bearing_models_give_the_same_properties(name: str) -> None:
-    wanted = expected("bearings/expected.json")[name]
-    model = model_from_json((OLD / f"bearings/{name}.json").read_text(encoding="utf-8"), name)
-    for what in ("model_id", "signals", "intervals_min"):
-        agree(plain(getattr(model, what)), wanted[what], what)
-    for axis, then in wanted["axes"].items():
-        regression = model.axes[axis]
-        changes = dict.fromkeys(regression.intervals_min, np.array(then["difference_k"]))
-        found = regression.estimate(np.array(then["degc"]), changes)
-        agree([plain(each) for each in found], then["properties"], axis)
 
 
 # --- releases and back-ups -------------------------------------------------------------------

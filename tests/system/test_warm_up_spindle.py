@@ -10,7 +10,6 @@ from drivers.sim.spindle.milling import MillingCuts, arc_of, mill
 from drivers.sim.spindle.spindle_beam import END_MILL_16, SpindleBeam
 from drivers.sim.spindle.spindle_bearings import bearings, nominal_bearings
 from drivers.sim.spindle.warming_spindle import WarmingBeams
-from models.errors import StabilityError
 from models.spindle_speed.choice import SpeedDemand, SpeedLimits
 
 CASE = """\
@@ -109,11 +108,3 @@ def test_a_mode_with_a_lead_moves_as_its_receptance_says() -> None:
         moved = np.array([sample.displacement_m[0, 0] for sample in samples])
         found.append(moved.mean() / force.mean())
     assert np.allclose(found, 1e-7, rtol=5e-3)
-
-
-def test_a_tool_that_the_machine_does_not_have_is_refused(case: StabilityCase) -> None:
-    other = case.model_copy(update={"diameter_mm": 12.0, "radial_depth_mm": 6.0})
-    with pytest.raises(StabilityError, match="end mills of 10 and 16 mm"):
-        warm_up(other, request())
-    with pytest.raises(StabilityError, match="--dynamics case"):
-        warm_up(case, request(method="sdm"))
