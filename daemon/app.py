@@ -24,8 +24,8 @@ from daemon.compensation.restart import load_resume_point
 from daemon.compensation.snapshot import control_snapshot, output_actions
 from daemon.compensation.task import ControlTask
 from daemon.compensation.temperature_macro import TemperatureMacro
-from daemon.estimation.inputs import poll_of, thermal_snapshot
-from daemon.estimation.task import Message, ThermalInbox, ThermalTask
+from daemon.estimation.inputs import Message, ThermalInbox, poll_of
+from daemon.estimation.task import ThermalTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.housekeeping.jobs import job_snapshots, scheduled_jobs
@@ -238,7 +238,7 @@ class Daemon:
 
     def _first_snapshots(self) -> SnapshotBoard:
         """Return the board as it is before anything runs."""
-        board = SnapshotBoard(control=control_snapshot(self.control), thermal=thermal_snapshot(self.thermal))
+        board = SnapshotBoard(control=control_snapshot(self.control), thermal=self.thermal.snapshot())
         board.spindle_speed = self.spindle_speed.snapshot()
         board.model = self._loaded.snapshot()
         return board
@@ -351,7 +351,7 @@ class Daemon:
         return refusal
 
     def _publish_thermal(self) -> None:
-        self.snapshots.thermal = thermal_snapshot(self.thermal)
+        self.snapshots.thermal = self.thermal.snapshot()
 
     def _publish_model(self, snapshot: ModelSnapshot) -> None:
         self.snapshots.model = snapshot

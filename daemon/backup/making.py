@@ -2,9 +2,11 @@
 
 import io
 import os
+import sqlite3
 import tarfile
 import tempfile
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -33,8 +35,7 @@ from daemon.backup.manifest import (
     signature_name,
 )
 from daemon.backup.names import backup_name, existing_backups
-from daemon.history.database import HistoryError, schema_version
-from daemon.history.retention import backup as copy_store
+from daemon.history.database import HistoryError, connect_reader, schema_version
 from daemon.model_release.active import released
 
 BACKUP_MODE = 0o640
@@ -76,6 +77,23 @@ def make_backup(configuration: Configuration, config_path: Path, destination: Pa
     finally:
         partial.unlink(missing_ok=True)
     return manifest
+
+
+def copy_store(path: Path, destination: Path) -> None:
+    """Copy a store, also one that is being written, to a file that is complete or not there."""
+    partial = Path(f"{destination}.partial")
+    partial.unlink(missing_ok=True)
+    try:
+        with closing(connect_reader(path)) as source, closing(sqlite3.connect(partial)) as target:
+            source.backup(target)
+            (verdict,) = target.execute("PRAGMA quick_check(1)").fetchone()
+    except sqlite3.Error as error:
+        partial.unlink(missing_ok=True)
+        raise HistoryError(f"{destination}: the back-up failed ({error}); check the space on that disk") from error
+    if verdict != "ok":
+        partial.unlink(missing_ok=True)
+        raise HistoryError(f"{path}: the store is damaged ({verdict}); restore an older back-up")
+    partial.replace(destination)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,7 +12,7 @@ from daemon.cnc.interlocks import Interlocks
 from daemon.cnc.session import CncLink, CncSession
 from daemon.compensation.references import ToThermal
 from daemon.compensation.restart import ResumePoint
-from daemon.estimation.task import Delivery
+from daemon.estimation.inputs import Delivery
 from daemon.history.writer import HistoryWriter
 from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock

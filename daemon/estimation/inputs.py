@@ -1,17 +1,65 @@
-"""What the thermal task takes beside temperatures, and the snapshot of it that others read."""
+"""What the thermal task takes, and what it gives."""
 
+import asyncio
 from collections.abc import Collection, Mapping
-from types import MappingProxyType
-from typing import TYPE_CHECKING
 
-from daemon.messages import SpindleSpeed
-from daemon.snapshots import ThermalSnapshot
+from daemon.messages import (
+    EstimateComing,
+    ReferenceEnded,
+    ReferenceRebased,
+    ReferenceRefused,
+    ReferenceRequest,
+    ReferenceTakenUp,
+    SensorsSinceReference,
+    SpindleSpeed,
+    TemperaturesTrusted,
+)
 from drivers.contract import Capability, Cnc
-from models.records import CncSample, FloatArray
+from models.records import CncSample, FloatArray, MachineTemperatures, Reference, TemperatureCycle, ThermalErrorEstimate
 from models.thermal.family import ThermalModel
 
-if TYPE_CHECKING:
-    from daemon.estimation.task import ThermalTask
+MOST_WAITING = 100
+"""When so many messages wait, a line's next cycle waits until some are taken."""
+
+Message = (
+    TemperatureCycle
+    | SpindleSpeed
+    | ReferenceRequest
+    | ReferenceEnded
+    | ReferenceTakenUp
+    | TemperaturesTrusted
+    | ThermalModel
+)
+"""What the thermal task takes."""
+Delivery = (
+    ThermalErrorEstimate
+    | EstimateComing
+    | Reference
+    | ReferenceRebased
+    | ReferenceRefused
+    | SensorsSinceReference
+    | MachineTemperatures
+)
+"""What it gives."""
+
+
+class ThermalInbox(asyncio.Queue[Message]):
+    """What waits for the thermal task; a line that is faster than the task waits with it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._taken = asyncio.Event()
+
+    def _get(self) -> Message:
+        self._taken.set()
+        return super()._get()
+
+    async def put_cycle(self, cycle: TemperatureCycle) -> None:
+        """Queue a line's cycle when there is room."""
+        while self.qsize() >= MOST_WAITING:
+            self._taken.clear()
+            await self._taken.wait()
+        self.put_nowait(cycle)
 
 
 def poll_of(sample: CncSample, cnc: Cnc | None) -> SpindleSpeed:
@@ -58,19 +106,3 @@ class NoPositions:
     def trust(self, model: ThermalModel, now_s: float, imputed: Collection[int]) -> tuple[float, str]:
         """Return how far an estimate may be followed for what is known of the positions, 0..1, and why it is not."""
         return 1.0, ""
-
-
-def thermal_snapshot(thermal: "ThermalTask") -> ThermalSnapshot:
-    """Return what has arrived and what is estimated now."""
-    online, following = thermal._online, thermal._next
-    waits = f"{following.model.model_id} makes no estimates yet: {following.waits}" if following is not None else ""
-    return ThermalSnapshot(
-        temperatures=thermal.latest,
-        estimate=thermal.latest_estimate,
-        line_faults=MappingProxyType(dict(thermal.line_faults)),
-        cycles_received=thermal.cycles_received,
-        cycles_incomplete=thermal.cycles_incomplete,
-        estimates=thermal.estimates,
-        model_waits=waits,
-        contributions=online.contributions() if online is not None and thermal.latest_estimate is not None else None,
-    )

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 import structlog
@@ -16,7 +17,7 @@ import structlog
 from config.schema import Configuration
 from config.schema.temperatures import TemperaturesConfig
 from daemon.estimation.cleansing import NAMED, Cleansing
-from daemon.estimation.inputs import NoPositions
+from daemon.estimation.inputs import Delivery, Message, NoPositions
 from daemon.estimation.model_in_use import History, ModelInUse
 from daemon.estimation.rebuild import HistoryBackfill
 from daemon.estimation.sensor_memory import LevelMemory, Places, SinceReference
@@ -28,11 +29,11 @@ from daemon.messages import (
     ReferenceRefused,
     ReferenceRequest,
     ReferenceTakenUp,
-    SensorsSinceReference,
     SpindleSpeed,
     TemperaturesTrusted,
 )
 from daemon.rate_limit import RateLimit
+from daemon.snapshots import ThermalSnapshot
 from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
 from models.align import RollingMean
@@ -48,30 +49,7 @@ from models.sensor_levels import unshifted
 from models.thermal.estimation import UNSURE_UM, Estimation, Machine
 from models.thermal.family import ThermalModel
 
-MOST_WAITING = 100
-"""When so many messages wait, a line's next cycle waits until some are taken."""
-
 log = structlog.get_logger(__name__)
-Message = (
-    TemperatureCycle
-    | SpindleSpeed
-    | ReferenceRequest
-    | ReferenceEnded
-    | ReferenceTakenUp
-    | TemperaturesTrusted
-    | ThermalModel
-)
-"""What the thermal task takes."""
-Delivery = (
-    ThermalErrorEstimate
-    | EstimateComing
-    | Reference
-    | ReferenceRebased
-    | ReferenceRefused
-    | SensorsSinceReference
-    | MachineTemperatures
-)
-"""What it gives."""
 TURNS_OF_OUTPUT = 4
 """The loop turns so often until the control task has the answer to its look ahead and has sent its first write."""
 
@@ -83,25 +61,6 @@ def _open_positions(configuration: Configuration) -> NoPositions:
     from daemon.estimation.axis_positions import AxisPositions  # noqa: PLC0415 (loaded only where it is configured)
 
     return AxisPositions(configuration)
-
-
-class ThermalInbox(asyncio.Queue[Message]):
-    """What waits for the thermal task; a line that is faster than the task waits with it."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._taken = asyncio.Event()
-
-    def _get(self) -> Message:
-        self._taken.set()
-        return super()._get()
-
-    async def put_cycle(self, cycle: TemperatureCycle) -> None:
-        """Queue a line's cycle when there is room."""
-        while self.qsize() >= MOST_WAITING:
-            self._taken.clear()
-            await self._taken.wait()
-        self.put_nowait(cycle)
 
 
 class ThermalTask:
@@ -158,6 +117,21 @@ class ThermalTask:
     def usable(self) -> int:
         """How many sensors have a value that may be used."""
         return 0 if self.latest is None else int(np.isfinite(self.latest.degc).sum())
+
+    def snapshot(self) -> ThermalSnapshot:
+        """Return what has arrived and what is estimated now."""
+        online, following = self._online, self._next
+        waits = f"{following.model.model_id} makes no estimates yet: {following.waits}" if following is not None else ""
+        return ThermalSnapshot(
+            temperatures=self.latest,
+            estimate=self.latest_estimate,
+            line_faults=MappingProxyType(dict(self.line_faults)),
+            cycles_received=self.cycles_received,
+            cycles_incomplete=self.cycles_incomplete,
+            estimates=self.estimates,
+            model_waits=waits,
+            contributions=online.contributions() if online is not None and self.latest_estimate is not None else None,
+        )
 
     async def run(self) -> None:
         """Serve the inbox for ever."""

@@ -7,7 +7,6 @@ that are old enough are packed into column chunks; the reader does not show the 
 
 from daemon.history.database import HistoryError
 from daemon.history.reader import HistoryReader
-from daemon.history.retention import backup, housekeeping
 from daemon.history.writer import HistoryWriter
 
-__all__ = ["HistoryError", "HistoryReader", "HistoryWriter", "backup", "housekeeping"]
+__all__ = ["HistoryError", "HistoryReader", "HistoryWriter"]

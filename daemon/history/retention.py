@@ -1,26 +1,15 @@
-"""Housekeeping on the writing connection: packs rows, deletes what is too old, frees pages, makes back-ups."""
+"""Housekeeping on the writing connection: packs rows, deletes what is too old, frees pages."""
 
 import sqlite3
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from contextlib import closing
 from dataclasses import dataclass, field
-from itertools import chain
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from config.schema.service import HistoryConfig
 from daemon.history.columns.kinds import CNC, CYCLES, DISPLACEMENTS, ESTIMATES, TEMPERATURES, WRITES
-from daemon.history.columns.packing import (
-    PackedHour,
-    missing_extremes,
-    pack_hours,
-    packing_cutoff_ms,
-    rows_of_hour,
-    table_of,
-)
-from daemon.history.database import HOUR_MS, HistoryError, connect_reader, connect_writer
-from daemon.history.store_lock import WriterLock
+from daemon.history.columns.packing import PackedHour, rows_of_hour, table_of
+from daemon.history.database import HOUR_MS
 
 if TYPE_CHECKING:
     from daemon.history.cursors import Position
@@ -38,10 +27,6 @@ class HousekeepingReport:
     """What housekeeping did."""
 
     packed_hours: int = 0
-    packed_rows: int = 0
-    removed_rows: int = 0
-    removed_chunks: int = 0
-    freed_pages: int = 0
     untaken: Counter[str] = field(default_factory=Counter)
     """Stream -> rows removed that a sink had not taken."""
 
@@ -116,8 +101,6 @@ def tidy(
         for too_old, untaken in _too_old(table, None if held is None else held.get(stream), cutoff_ms, late_ms):
             rows = _delete(connection, table, too_old, SLICE_ROWS, "1")
             chunks = _delete(connection, "chunks", too_old | {"kind": kind}, SLICE_CHUNKS, "row_count")
-            report.removed_rows += len(rows)
-            report.removed_chunks += len(chunks)
             if untaken and rows + chunks:
                 report.untaken[stream] += sum(rows + chunks)
             if len(rows) == SLICE_ROWS or len(chunks) == SLICE_CHUNKS:
@@ -128,7 +111,7 @@ def tidy(
             "WHERE c.chunk_id = extremes.chunk_id AND c.kind = extremes.kind)",
             (kind, cutoff_ms // HOUR_MS * HOUR_MS),
         )
-    return _vacuum(connection, report)
+    return _vacuum(connection)
 
 
 def _too_old(
@@ -167,7 +150,7 @@ def _delete(
     return [number for (number,) in found.fetchall()]
 
 
-def _vacuum(connection: sqlite3.Connection, report: HousekeepingReport) -> bool:
+def _vacuum(connection: sqlite3.Connection) -> bool:
     (free,) = connection.execute("PRAGMA freelist_count").fetchone()
     surplus = min(free - SPARE_PAGES, SLICE_PAGES)
     if surplus <= 0:
@@ -175,39 +158,4 @@ def _vacuum(connection: sqlite3.Connection, report: HousekeepingReport) -> bool:
     # One step frees one page, and only executescript steps on when a statement has no columns.
     connection.executescript(f"PRAGMA incremental_vacuum({surplus});")
     (left,) = connection.execute("PRAGMA freelist_count").fetchone()
-    report.freed_pages += free - left
     return bool(SPARE_PAGES < left < free)
-
-
-def housekeeping(path: Path, config: HistoryConfig, now_utc_s: float) -> HousekeepingReport:
-    """Pack and prune a store that no daemon writes. Raises HistoryError when one does.
-
-    A running daemon does the same by `HistoryWriter.request_housekeeping`.
-    """
-    report = HousekeepingReport()
-    with WriterLock(path), closing(connect_writer(path)) as connection, closing(connect_reader(path)) as reading:
-        packed = pack_hours(reading, packing_cutoff_ms(now_utc_s, config.pack_after_s))
-        for hour in chain(packed, missing_extremes(reading)):
-            if store_hour(connection, hour):
-                report.packed_hours += 1
-                report.packed_rows += hour.row_count
-        while tidy(connection, config, now_utc_s, report):
-            pass
-    return report
-
-
-def backup(path: Path, destination: Path) -> None:
-    """Copy a store, also one that is being written, to a file that is complete or not there."""
-    partial = Path(f"{destination}.partial")
-    partial.unlink(missing_ok=True)
-    try:
-        with closing(connect_reader(path)) as source, closing(sqlite3.connect(partial)) as target:
-            source.backup(target)
-            (verdict,) = target.execute("PRAGMA quick_check(1)").fetchone()
-    except sqlite3.Error as error:
-        partial.unlink(missing_ok=True)
-        raise HistoryError(f"{destination}: the back-up failed ({error}); check the space on that disk") from error
-    if verdict != "ok":
-        partial.unlink(missing_ok=True)
-        raise HistoryError(f"{path}: the store is damaged ({verdict}); restore an older back-up")
-    partial.replace(destination)

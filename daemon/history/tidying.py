@@ -148,4 +148,3 @@ def _untaken_in_words(stream: str, count: int) -> str:
 def _store(hour: PackedHour, report: HousekeepingReport, connection: sqlite3.Connection) -> None:
     if store_hour(connection, hour):
         report.packed_hours += 1
-        report.packed_rows += hour.row_count

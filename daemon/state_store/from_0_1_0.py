@@ -10,21 +10,18 @@ from daemon.state_store.documents import (
     SpindleSpeedSwitch,
     WantedAxes,
 )
-from daemon.state_store.store import DocumentError, from_json
 from models.control.reference_records import ReferenceDocument
-from models.records import Instant
 
 Old = Callable[[str], Any]
 """What 0.1.0 kept under a key; None where there is nothing."""
 
 
-def from_0_1_0(kind: type, old: Old, now: Instant) -> Any:
-    """Return a document from what 0.1.0 kept, None where it kept nothing. Raises DocumentError."""
-    try:
-        found = _READERS.get(kind, _nothing)(old)
-        return None if found is None else from_json(kind, found, now)
-    except (KeyError, TypeError, AttributeError) as error:
-        raise DocumentError(f"not as version 0.1.0 wrote it ({error!r})") from None
+def from_0_1_0(kind: type, old: Old) -> Any:
+    """Return a document in today's JSON values, None where 0.1.0 kept nothing.
+
+    Raises KeyError, TypeError or AttributeError where it is not as 0.1.0 wrote it.
+    """
+    return _READERS.get(kind, _nothing)(old)
 
 
 def _nothing(_old: Old) -> Any:

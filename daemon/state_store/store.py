@@ -9,7 +9,7 @@ from dataclasses import MISSING, fields, is_dataclass, replace
 from enum import StrEnum
 from functools import cache
 from types import MappingProxyType
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 import structlog
@@ -214,8 +214,11 @@ class StateStore:
         if _version_of(found) is None:
             from daemon.state_store.from_0_1_0 import from_0_1_0  # noqa: PLC0415 (only where version 0.1.0 was)
 
-            read: Document | None = from_0_1_0(kind, self._history.get_state, self._clock.now())
-            return read
+            try:
+                old = from_0_1_0(kind, self._history.get_state)
+                return None if old is None else cast(Document, from_json(kind, old, self._clock.now()))
+            except (KeyError, TypeError, AttributeError) as error:
+                raise DocumentError(f"not as version 0.1.0 wrote it ({error!r})") from None
         if _version_of(found) != FORMAT_VERSION:
             raise DocumentError(f"{VERSION_KEY} {_version_of(found)} is unknown")
         _refuse_changed(found)

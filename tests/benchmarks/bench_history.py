@@ -23,9 +23,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "support"))
 
 import history_records as make
 from history_records import AXES, BLOCK, EPOCH_S, FULL, StillClock
+from tidied_store import housekeeping
 
 from config.schema.service import HistoryConfig
-from daemon.history import HistoryReader, HistoryWriter, housekeeping
+from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.database import connect_reader, connect_writer
 from models.records import Instant, Trace
 

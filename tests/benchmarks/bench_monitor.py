@@ -24,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 import psutil
+from tidied_store import housekeeping
 
 from config.loader import load_configuration
 from config.machines import shipped_file
@@ -33,7 +34,6 @@ from daemon.history.columns.packing import temperature_extremes
 from daemon.history.columns.temperature_chunks import CycleBlock
 from daemon.history.decimation import SeriesReader, decimated
 from daemon.history.layout import MachineLayout
-from daemon.history.retention import housekeeping
 from daemon.monitor.web.recorded import encoded, series_document
 from daemon.simulation.demonstration import switch_on
 from daemon.simulation.processes import free_port, start_simulation, write_simulation_configuration

@@ -26,12 +26,13 @@ import numpy as np
 from history_records import EPOCH_S, FULL, StillClock
 from mosquitto import mosquitto
 from postgresql import PASSWORD, Server, postgresql
+from tidied_store import housekeeping
 
 from config.loader import load_configuration
 from config.machines import shipped_file
 from config.schema.service import HistoryConfig
 from config.schema.sinks import SinkConfig
-from daemon.history import HistoryWriter, housekeeping
+from daemon.history import HistoryWriter
 from daemon.history.cursors import Cursor
 from daemon.sinks.running import SinkRunner
 from drivers.sim.machine.body import MachineBody

@@ -10,9 +10,10 @@ from history_records import EPOCH_S, SMALL, StillClock
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from tidied_store import housekeeping
 
 from config.schema.service import HistoryConfig
-from daemon.history import HistoryWriter, housekeeping
+from daemon.history import HistoryWriter
 from daemon.history.columns.packing import decode_extremes, temperature_extremes
 from daemon.history.columns.temperature_chunks import CycleBlock
 from daemon.history.decimation import COARSE_S, Buckets, SeriesError, SeriesReader, check_names, decimated

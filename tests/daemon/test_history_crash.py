@@ -14,10 +14,11 @@ import history_records as make
 import numpy as np
 import pytest
 from history_records import EPOCH_S, SMALL, StillClock
+from tidied_store import housekeeping
 from write_history import degc_of
 
 from config.schema.service import HistoryConfig
-from daemon.history import HistoryReader, HistoryWriter, housekeeping
+from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.database import connect_reader
 from models.records import WriteOutcome
 

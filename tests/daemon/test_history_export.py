@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from history_records import EPOCH_S, SMALL, StillClock
+from tidied_store import housekeeping
 
 from config.schema.service import HistoryConfig
 from daemon.cli import main
 from daemon.cli.operate.history_view import print_rows, view
-from daemon.history import HistoryReader, HistoryWriter, housekeeping
+from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.export import write_parquet
 from daemon.history.tables import Table
 from models.quality import Reason

@@ -10,9 +10,11 @@ import history_records as make
 import numpy as np
 import pytest
 from history_records import EPOCH_S, SMALL, StillClock
+from tidied_store import housekeeping
 
 from config.schema.service import HistoryConfig
-from daemon.history import HistoryReader, HistoryWriter, backup, housekeeping
+from daemon.backup.making import copy_store
+from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.columns.kinds import CYCLES, KINDS
 from daemon.history.columns.packing import PackedHour, pack_hours
 from daemon.history.database import HistoryError, connect_reader, connect_writer
@@ -195,7 +197,7 @@ def test_backup_of_a_store_in_use_is_whole(store: Path, tmp_path: Path) -> None:
     writer = HistoryWriter(store, clock=StillClock(), machine=SMALL)
     writer.start()
     destination = tmp_path / "backup.sqlite"
-    backup(store, destination)
+    copy_store(store, destination)
     writer.close()
     assert everything(destination) == everything(store)
     assert sorted(p.name for p in tmp_path.iterdir() if "partial" in p.name) == []
@@ -203,8 +205,8 @@ def test_backup_of_a_store_in_use_is_whole(store: Path, tmp_path: Path) -> None:
 
 def test_failing_backup_leaves_the_older_one(store: Path, tmp_path: Path) -> None:
     destination = tmp_path / "backup.sqlite"
-    backup(store, destination)
+    copy_store(store, destination)
     before = destination.read_bytes()
     with pytest.raises(HistoryError, match="there is no history store"):
-        backup(tmp_path / "absent.sqlite", destination)
+        copy_store(tmp_path / "absent.sqlite", destination)
     assert destination.read_bytes() == before

@@ -12,9 +12,10 @@ import history_records as make
 import numpy as np
 import pytest
 from history_records import EPOCH_S, SMALL, StillClock
+from tidied_store import housekeeping
 
 from config.schema.service import HistoryConfig
-from daemon.history import HistoryError, HistoryReader, HistoryWriter, database, housekeeping
+from daemon.history import HistoryError, HistoryReader, HistoryWriter, database
 from daemon.history.database import connect_reader
 from daemon.history.series import NOT_IN_CYCLE
 from models.quality import Quality, Reason

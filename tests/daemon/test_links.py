@@ -14,7 +14,7 @@ from displacement_file import HEADER, append, config, row
 
 from config.schema import Configuration
 from daemon.cnc.session import CncLink
-from daemon.estimation.task import MOST_WAITING, ThermalInbox
+from daemon.estimation.inputs import MOST_WAITING, ThermalInbox
 from daemon.links import DisplacementLog, Links
 from daemon.registry import PARTS
 from daemon.snapshots import DisplacementSnapshot

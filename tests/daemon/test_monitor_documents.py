@@ -10,7 +10,6 @@ import pytest
 from control_rig import EPOCH_S
 from monitor_bench import monitor
 
-from daemon.estimation.inputs import thermal_snapshot
 from daemon.estimation.task import ThermalTask
 from daemon.monitor.web.estimate import estimate_document
 from daemon.snapshots import Contributions, LinkSnapshot
@@ -40,7 +39,7 @@ async def bench(tmp_path):
                     trace=Trace(first_byte=now, last_byte=now),
                 )
             )
-        rig.snapshots.thermal = thermal_snapshot(thermal)
+        rig.snapshots.thermal = thermal.snapshot()
         await rig.history.flushed()
         yield bench
 

@@ -21,11 +21,12 @@ from history_records import EPOCH_S, SMALL, StillClock
 from mosquitto import PATIENCE_S, Mosquitto, mosquitto, subscriber, wait_until
 from paho.mqtt.enums import CallbackAPIVersion
 from strict_broker import strict_broker
+from tidied_store import housekeeping
 
 from config.sample import sample_configuration
 from config.schema.service import HistoryConfig
 from config.schema.sinks import SinkConfig
-from daemon.history import HistoryWriter, housekeeping
+from daemon.history import HistoryWriter
 from daemon.history.cursors import Cursor, cursor_path
 from daemon.sinks.ahead import Ahead
 from daemon.sinks.contract import Progress, SinkError

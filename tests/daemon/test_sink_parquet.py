@@ -10,10 +10,11 @@ import history_records as make
 import numpy as np
 import pytest
 from history_records import EPOCH_S, SMALL, StillClock
+from tidied_store import housekeeping
 
 from config.schema.service import HistoryConfig
 from config.schema.sinks import SinkConfig
-from daemon.history import HistoryReader, HistoryWriter, housekeeping
+from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.cursors import Cursor, cursor_path
 from daemon.sinks.contract import SinkError
 from daemon.sinks.outbox import STREAMS, Outbox

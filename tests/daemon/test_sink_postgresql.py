@@ -23,11 +23,12 @@ from certificates import make_certificate
 from filled_store import add, fill
 from history_records import EPOCH_S, SMALL, StillClock
 from postgresql import PASSWORD, PATIENCE_S, Server, postgresql
+from tidied_store import housekeeping
 
 from config.sample import sample_configuration
 from config.schema.service import HistoryConfig
 from config.schema.sinks import PostgresqlConfig, SinkConfig
-from daemon.history import HistoryReader, HistoryWriter, housekeeping
+from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.cursors import Cursor, cursor_path
 from daemon.sinks.computer import this_computer
 from daemon.sinks.contract import SinkError

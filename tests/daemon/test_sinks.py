@@ -15,12 +15,13 @@ import pytest
 from click.testing import CliRunner
 from control_rig import machine
 from history_records import EPOCH_S, SMALL, StillClock
+from tidied_store import housekeeping
 
 from config.schema import Configuration
 from config.schema.service import HistoryConfig
 from config.schema.sinks import SinkConfig
 from daemon.cli import main
-from daemon.history import HistoryReader, HistoryWriter, housekeeping
+from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.cursors import Cursor, cursor_path
 from daemon.history.database import HistoryError, connect_reader
 from daemon.sinks.contract import Progress, SinkError

@@ -7,7 +7,8 @@ import numpy as np
 from control_rig import SENSOR_IDS, HandClock, machine
 
 from config.schema import Configuration
-from daemon.estimation.task import Delivery, ThermalTask
+from daemon.estimation.inputs import Delivery
+from daemon.estimation.task import ThermalTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.messages import ReferenceRequest, ReferenceTakenUp, SensorsSinceReference

@@ -12,8 +12,8 @@ from thermal_rig import CHAINS
 
 from config.records.commissioning import CommissionedAxis
 from config.schema import Configuration
-from daemon.estimation.inputs import poll_of
-from daemon.estimation.task import Message, ThermalTask
+from daemon.estimation.inputs import Message, poll_of
+from daemon.estimation.task import ThermalTask
 from models.quality import Quality, Reason
 from models.records import CncSample, FloatArray, TemperatureCycle, Trace
 from models.thermal.family import ThermalModel

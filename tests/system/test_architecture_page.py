@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 from daemon import messages, snapshots
 from daemon.compensation.parts import ControlParts
-from daemon.estimation.task import Message
+from daemon.estimation.inputs import Message
 from models import records
 from models.records import TemperatureCycle
 from models.thermal.family import ThermalModel
