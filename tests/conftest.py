@@ -29,7 +29,6 @@ LONGEST_FIRST = (
     "tests/drivers/test_cnc_contract.py",
     f"{REPLAY}[default]",
     "tests/daemon/test_lags_on_line.py",
-    f"{REPLAY}[gaussian]",
     "tests/system/test_warm_up.py",
     "tests/system/test_stability_referee.py",
     f"{REPLAY}[increments]",

@@ -92,8 +92,8 @@ def test_many_histories_of_bad_input_end_where_the_twin_is(
 ) -> None:
     """Whole frames are heard alike whether they are checked or not: there each history is played with one profile.
 
-    Two histories of each kind, model and profile come beside the two that are played always; when asked to, many more.
+    A history of each kind, model and profile comes beside the two that are played always; when asked to, many more.
     """
-    both, end = kind == bit_flips.__name__, 2 + (4 if times_as_many == 1 else 10 * times_as_many)
+    both, end = kind == bit_flips.__name__, 2 + 2 * times_as_many
     seeds = range(2, end) if both else range(2 + (profile == "checked"), end, 2)
     judge(tmp_path_factory.mktemp("twin"), kind, name, profile, seeds)

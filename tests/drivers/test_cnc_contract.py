@@ -288,8 +288,8 @@ def kept_of(bench: Bench) -> float:
 
 
 @pytest.mark.wires
-async def test_a_hundred_connections_leave_nothing_behind(bench: Bench) -> None:
-    await reconnecting_leaves_nothing_behind(bench, 100, kept=kept_of(bench))
+async def test_forty_connections_leave_nothing_behind(bench: Bench) -> None:
+    await reconnecting_leaves_nothing_behind(bench, 40, kept=kept_of(bench))
 
 
 def test_every_driver_of_the_schema_has_a_factory_and_the_reverse() -> None:

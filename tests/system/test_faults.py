@@ -1,7 +1,5 @@
 """What goes wrong on the wires, while the whole daemon runs: the output holds, recovers, and never jumps."""
 
-import signal
-
 import pytest
 from wires import check_audit, on_wires
 
@@ -85,30 +83,3 @@ def test_a_cnc_that_freezes_or_dies_is_found_again(tmp_path):
         with HistoryReader(wires.configuration.history.path) as reader:
             unsettled = [record.write_id for record in reader.unsettled_writes()]
             assert all(write_id >= reader.writes(0.0, 1e11)[-2].write_id for write_id in unsettled), "one is on its way"
-
-
-def test_a_disturbed_displacement_file_and_a_machine_that_stands_still_move_nothing(tmp_path):
-    """The file grows by half rows, is rotated and cut; then the simulator is stopped for a second, twice."""
-    faults = [
-        {"kind": "csv_half_row", "at_s": 180, "duration_s": 60},
-        {"kind": "csv_rotated", "at_s": 270},
-        {"kind": "csv_truncated", "at_s": 390, "amount": 0},
-    ]
-    with on_wires(tmp_path, speed=60.0, faults=faults) as wires:
-        wires.switch_on()
-        wires.wait_until(480.0)
-        wires.wait("the file", lambda status: link(status, "displacement files")["up"])
-        for _ in range(2):
-            wires.running.simulator.send_signal(signal.SIGSTOP)
-            wires.let_pass(80.0)
-            wires.running.simulator.send_signal(signal.SIGCONT)
-            wires.let_pass(20.0)
-        wires.wait_for_state("ACTIVE")
-        # The block expired while everything stood still; the guard believes it again at the next safe point.
-        wires.wait("the alarm to end", lambda status: status["output"]["alarm"] == "")
-        wires.check_nothing_broke()
-        assert not [entry for entry in wires.log if entry["event"] == "output.fault"]
-        check_audit(wires.writes(), wires.configuration, unverified=4, begun_s=wires.begun_s())
-        with HistoryReader(wires.configuration.history.path) as reader:
-            times_s = list(reader.displacements(0.0, 1e11).time_s)
-        assert len(set(times_s)) == len(times_s) >= 6, "a row a minute, each of them once"

@@ -21,20 +21,20 @@ from models.stability.state_space import state_space
 def test_stable_and_unstable_agree_off_the_boundary() -> None:
     agreed, disagreed, stable = 0, [], 0
     for teeth in (2, 3):
-        cases = random_cases(teeth, 50, seed=11)
+        cases = random_cases(teeth, 25, seed=11)
         same = cases.agree(passings=90, steps_per_passing=160)
         agreed += int(same.sum())
         stable += int((cases.radius < 1.0).sum())
         disagreed += [cases.described[i] for i in np.flatnonzero(~same)]
-    assert 25 <= stable <= 75
-    assert agreed >= 98, disagreed
+    assert 12 <= stable <= 38
+    assert agreed >= 49, disagreed
 
 
 @pytest.mark.slow
 def test_helix_pitches_and_damping_agree_off_the_boundary() -> None:
-    cases = random_cases(3, 16, seed=5, beyond=True)
+    cases = random_cases(3, 8, seed=5, beyond=True)
     same = cases.agree(passings=90, steps_per_passing=160)
-    assert 4 <= int((cases.radius < 1.0).sum()) <= 12
+    assert 2 <= int((cases.radius < 1.0).sum()) <= 6
     assert same.all(), [cases.described[i] for i in np.flatnonzero(~same)]
 
 
