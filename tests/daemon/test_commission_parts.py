@@ -77,7 +77,7 @@ def test_a_scale_outside_every_machine_is_not_accepted_by_anybody():
     assert judge("z", 5.0, taken(0.0, 10.0, 0.0), accept_scale=True).scale == 2.0
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(
     offset_um=st.floats(2.0, 100.0).flatmap(lambda um: st.sampled_from([um, -um])),
     ratio=st.floats(-3.0, 3.0),

@@ -10,20 +10,15 @@ from daemon.housekeeping.jobs import HOUSEKEEPING_PERIOD_S, housekeeping_schedul
 
 
 class Store:
-    """Counts what is asked of it; never comes to an end when it `hangs`."""
+    """Counts what is asked of it."""
 
-    def __init__(self, *, hangs=False):
-        self.asked, self.why, self.hangs = [], [], hangs
+    def __init__(self):
+        self.asked = []
         self.once, self.housekeeping = asyncio.Event(), self
 
     async def request_housekeeping(self, config):
         self.asked.append(config)
         self.once.set()
-        if self.hangs:
-            await asyncio.Event().wait()
-
-    def put_off(self, why):
-        self.why.append(why)
 
 
 async def test_the_store_is_tidied_now_and_then_with_its_configuration():

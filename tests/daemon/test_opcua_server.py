@@ -300,7 +300,7 @@ def test_decoding_ends_with_the_bytes_whatever_lengths_they_name():
         _decoded(lambda: struct_from_binary(ua.RequestHeader, Received(NO_HEADER + literal)))
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.binary(max_size=200))
 def test_a_request_of_any_bytes_is_refused_in_order(body):
     with contextlib.suppress(ServiceError):

@@ -124,7 +124,7 @@ class SinumerikHistoryToZero(GuardHistoryToZero):
     dialect = "sinumerik"
 
 
-OFTEN = settings(max_examples=150, stateful_step_count=40, deadline=None, suppress_health_check=list(HealthCheck))
+OFTEN = settings(max_examples=50, stateful_step_count=40, deadline=None, suppress_health_check=list(HealthCheck))
 TestGuardHistory = GuardHistory.TestCase
 TestGuardHistory.settings = OFTEN
 TestGuardHistoryToZero = GuardHistoryToZero.TestCase
@@ -135,7 +135,7 @@ TestSinumerikHistoryToZero = SinumerikHistoryToZero.TestCase
 TestSinumerikHistoryToZero.settings = OFTEN
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(um=st.fixed_dictionaries(INSIDE), calls=st.integers(1, 20))
 def test_repeated_calls_reach_the_value_one_step_at_a_time(um: dict[str, float], calls: int) -> None:
     bench = GuardBench()

@@ -28,7 +28,7 @@ def requested(machine):
     tool=st.booleans(),
     later=errors,
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_a_release_leaves_the_request_where_it_is_and_the_same_model_equals_its_twin(
     error, other, term, confidence, probe, lag, tool, later
 ):

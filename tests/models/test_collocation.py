@@ -36,7 +36,7 @@ def discretised(response: ModalResponse, of: Cut, feed_deg: float, speed_rpm: fl
     return float(spectral_radius(method, speed_rpm, np.array([depth_mm]))[0])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     response=st.sampled_from((MODES, COUPLED, ModalResponse(yy=MODES.yy))),
     mode=st.sampled_from(("up", "down", "slot")),

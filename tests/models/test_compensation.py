@@ -247,7 +247,7 @@ def test_every_state_can_be_left():
 
 
 @given(error=st.floats(allow_nan=True, allow_infinity=True), elapsed=st.floats(0, 1e6))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_no_single_estimate_moves_further_than_the_slew_rate(error, elapsed):
     memory, command = active()
     before = command.compensation_um.copy()
@@ -376,4 +376,4 @@ class Histories(RuleBasedStateMachine):
 
 
 TestHistories = Histories.TestCase
-TestHistories.settings = settings(max_examples=120, stateful_step_count=60, deadline=None)
+TestHistories.settings = settings(max_examples=60, stateful_step_count=60, deadline=None)

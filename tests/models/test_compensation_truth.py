@@ -209,6 +209,6 @@ def first_inhibit_of(machine: Machine):
 def test_after_any_history_the_tool_stands_where_it_was_set_to_stand(times_as_many: int) -> None:
     """CI plays the same histories each time; `make histories` others, and more of them."""
     drawn = settings(
-        max_examples=200 * times_as_many, stateful_step_count=60, derandomize=times_as_many == 1, database=None
+        max_examples=100 * times_as_many, stateful_step_count=60, derandomize=times_as_many == 1, database=None
     )
     run_state_machine_as_test(Truth, settings=drawn)

@@ -50,7 +50,7 @@ coefficients = st.lists(st.floats(-5, 5), min_size=SENSORS, max_size=SENSORS).ma
 
 
 @given(rows=coefficients, reference=vectors, now=vectors, gone=masks, back=masks)
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_the_return_of_sensors_moves_the_estimate_by_nothing(rows, reference, now, gone, back):
     family, back = estimator(rows), back & gone
     counted = state_reference(family, at(family, 0.0, reference))
@@ -66,7 +66,7 @@ def test_the_return_of_sensors_moves_the_estimate_by_nothing(rows, reference, no
 
 
 @given(rows=coefficients, reference=vectors, now=vectors, wrong=st.floats(-200, 200))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_what_an_excluded_sensor_said_leaves_no_trace(rows, reference, now, wrong):
     family = estimator(rows)
     drifted, missing = now.copy(), now.copy()
@@ -126,7 +126,7 @@ def test_what_a_sensor_was_imputed_with_until_it_was_set_anew_stays_in_doubt_ove
 @given(
     reference=vectors, here=st.lists(masks, min_size=1, max_size=12), wrong=st.lists(vectors, min_size=12, max_size=12)
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_neither_leaving_nor_a_wrong_return_moves_the_mean_increment(reference, here, wrong):
     """Sensors that stay stand still; those that come back say anything at all."""
     mean, said, was_here = first_mean_increment(reference), reference + 3.0, np.ones(SENSORS, dtype=bool)
@@ -138,7 +138,7 @@ def test_neither_leaving_nor_a_wrong_return_moves_the_mean_increment(reference, 
 
 
 @given(reference=vectors, now=vectors, gone=masks, rise_k=st.floats(-5.0, 5.0))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_a_sensor_that_left_goes_on_with_the_others_and_keeps_its_distance_from_them(reference, now, gone, rise_k):
     whole = renewed_mean_increment(first_mean_increment(reference), now)
     part = renewed_mean_increment(whole, np.where(gone, np.nan, now))

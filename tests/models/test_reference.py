@@ -628,4 +628,4 @@ class Workshop(RuleBasedStateMachine):
 
 
 def test_whatever_happens_nothing_is_in_force_but_the_reference_of_the_latest_positioning():
-    run_state_machine_as_test(Workshop, settings=settings(max_examples=100, stateful_step_count=40, deadline=None))
+    run_state_machine_as_test(Workshop, settings=settings(max_examples=60, stateful_step_count=40, deadline=None))

@@ -23,7 +23,6 @@ bearings:            # none: free-free
   - {{group: '34', position_mm: 184.1, kt_n_per_m: 1.7e8, ct_ns_per_m: 900, {TURNING}}}
   - {{group: '5', position_mm: 400.1, kt_n_per_m: 9.11e7, ct_ns_per_m: 1500, {TURNING}}}
 """
-FREE = DIRECT.partition("bearings:")[0]
 
 
 def call(*arguments: object) -> Result:

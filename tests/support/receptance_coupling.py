@@ -89,18 +89,6 @@ def couple_elastic(
     return _joined(first, second, np.linalg.solve(np.eye(POINT) + stiffness @ flexible, stiffness))
 
 
-def couple_side_by_side(first: ComplexArray, second: ComplexArray) -> ComplexArray:
-    """Return two substructures that move together at all their points, such as two layers (C-5).
-
-    Parameters
-    ----------
-    first, second
-        Of the same shape (n, 2 p, 2 p).
-
-    """
-    return np.asarray(first @ np.linalg.solve(first + second, second), dtype=np.complex128)
-
-
 def ground(receptance: ComplexArray, stiffness: ComplexArray) -> ComplexArray:
     """Return a substructure whose points are tied to the ground (4-35, with K used directly).
 

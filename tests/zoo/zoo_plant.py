@@ -182,11 +182,6 @@ class Plant:
     def __post_init__(self) -> None:
         self.tank, self.air = len(self.nodes), len(self.nodes) + 1
 
-    @property
-    def all_nodes(self) -> list[str]:
-        """Names of the columns of `temperatures`."""
-        return [*self.nodes, "coolant", "air inside", "shop"]
-
     def step_s(self) -> float:
         """Return a step that the fastest node allows [s]."""
         rates = (self.conductance.sum(axis=1) + 2.0 * self.convection + self.turning + self.cooling + self.washing) / (
