@@ -60,7 +60,17 @@ def recorded(tmp_path: Path, stay_min: int = 30) -> tuple[Path, Path]:
 
 
 def figures(recording: Path, columns: Path, *more: str) -> dict[str, Any]:
-    arguments = ["thermal", "evaluate", str(recording), "--map", str(columns), "--train-hours", "0-8"]
+    arguments = [
+        "thermal",
+        "evaluate",
+        str(recording),
+        "--map",
+        str(columns),
+        "--train-hours",
+        "0-8",
+        "--model",
+        "lags",
+    ]
     result = CliRunner().invoke(main, [*arguments, "--test-hours", "8-12", *more, "--json", "-"])
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
@@ -111,7 +121,7 @@ def test_what_the_machine_would_get_of_a_model_with_positions_is_told_with_where
     assert any("missing where the test begins" in each for each in never["advice"])
 
 
-@pytest.mark.parametrize("family", ["default", "ridge", "increments", None])
+@pytest.mark.parametrize("family", ["increments", None])
 def test_a_model_with_positions_is_trained_and_runs_where_they_are_read(
     files: tuple[Path, Path], family: str | None
 ) -> None:

@@ -23,6 +23,8 @@ from models.records import WriteOutcome
 
 EVER = (0.0, 1e11)
 FOREVER_S = 300.0
+ASK_AGAIN_S = 0.1
+"""The status of hundreds of sensors takes the daemon and the test some milliseconds each time."""
 NOISE_UM = 1e-6
 FIRST_REFERENCE_S = 150.0
 """Simulated time of the first work positioning [s]."""
@@ -69,7 +71,7 @@ class Wires:
         status = self.status()
         while not condition(status):
             assert time.monotonic() < end_s, f"waited in vain for {what}: {status['output']}, {status['links']}"
-            time.sleep(0.02)
+            time.sleep(ASK_AGAIN_S)
             status = self.status()
         return status
 

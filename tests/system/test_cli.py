@@ -17,21 +17,20 @@ from daemon.history import HistoryReader
 pytestmark = pytest.mark.wires
 
 
-def toolpoint(*arguments, config=None):
-    settings = ["--config", str(config)] if config is not None else []
-    return subprocess.run(
-        [sys.executable, "-P", "-m", "daemon.cli", *arguments, *settings],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+def toolpoint(*arguments, config):
+    return CliRunner().invoke(main, [*arguments, "--config", str(config)])
 
 
 def told(*arguments, config):
     finished = toolpoint(*arguments, config=config)
-    assert finished.returncode == 0, finished.stderr
+    assert finished.exit_code == 0, finished.stderr
     return finished.stdout
+
+
+def second_daemon(config):
+    """Start one as a process of its own; it is to end by itself."""
+    command = [sys.executable, "-P", "-m", "daemon.cli", "run", "--config", str(config)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
 
 
 @pytest.mark.slow
@@ -42,9 +41,9 @@ def test_a_whole_shift_of_commands(tmp_path):
         assert json.loads(told("status", "--json", "-", config=config))["output"]["state"] == "OFF"
 
         refused = toolpoint("enable", "x", config=config)
-        assert refused.returncode == 1 and "no model" in refused.stderr
+        assert refused.exit_code == 1 and "no model" in refused.stderr
         refused = toolpoint("enable", "w", config=config)
-        assert refused.returncode == 1 and "no axis w" in refused.stderr
+        assert refused.exit_code == 1 and "no axis w" in refused.stderr
 
         told("enable", "z", config=config)
         status = wires.wait_for_state("ACTIVE")
@@ -61,12 +60,12 @@ def test_a_whole_shift_of_commands(tmp_path):
         told("acknowledge", config=config)
         wires.check_nothing_broke()
 
-        second = toolpoint("run", config=config)
+        second = second_daemon(config)
         assert second.returncode == 2 and "writes this store" in second.stderr
         other = tmp_path / "other.yaml"
         text = config.read_text(encoding="utf-8").replace("history.sqlite", "other.sqlite")
         other.write_text(text, encoding="utf-8")
-        second = toolpoint("run", config=other)
+        second = second_daemon(other)
         assert second.returncode == 2 and "writes to this CNC already" in second.stderr
         assert wires.status()["output"]["state"] == "OFF", "and the first one still answers"
 
@@ -88,7 +87,7 @@ def test_a_whole_shift_of_commands(tmp_path):
         assert [event for event in events if event.kind == "refused"]
 
         late = toolpoint("status", config=config)
-        assert late.returncode == 1 and "is it running" in late.stderr
+        assert late.exit_code == 1 and "is it running" in late.stderr
 
 
 def rows_of(config, path):
