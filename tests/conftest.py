@@ -17,7 +17,6 @@ settings.register_profile("patient", deadline=None, suppress_health_check=[Healt
 settings.load_profile("patient")
 
 HARDSHIPS = "tests/system/test_hardships.py::test_nothing_acknowledged_is_lost_and_what_must_hold_holds"
-REPLAY = "tests/daemon/test_replay_follows.py::test_what_training_makes_is_followed"
 LONGEST_FIRST = (
     f"{HARDSHIPS}[process]",
     "tests/daemon/test_truth_of_combined_faults.py",
@@ -27,18 +26,16 @@ LONGEST_FIRST = (
     "tests/daemon/test_truth_after_bad_input.py",
     f"{HARDSHIPS}[calendar]",
     "tests/drivers/test_cnc_contract.py",
-    f"{REPLAY}[default]",
+    "tests/daemon/test_replay_follows.py",
     "tests/daemon/test_lags_on_line.py",
     "tests/system/test_warm_up.py",
     "tests/system/test_stability_referee.py",
-    f"{REPLAY}[increments]",
     "tests/zoo/test_zoo.py",
     "tests/models/test_chatter.py",
     "tests/daemon/test_cli_thermal_evaluate.py",
     "tests/system/test_warm_up_spindle.py",
     "tests/models/test_semi_discretisation.py",
     "tests/system/test_fault_campaign.py",
-    "tests/daemon/test_replay_follows.py",
     "tests/system/test_pages.py",
     "tests/system/test_end_to_end.py",
     "tests/daemon/test_monitor_contract.py",

@@ -1,8 +1,6 @@
 """Axis positions of a recording are inputs of models like temperatures, are watched like none, and must be read."""
 
 import json
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,8 +15,6 @@ from searched_once import searched_once
 
 from config.recordings.recording_map import load_recording_map
 from daemon.cli import main
-from daemon.history.columns.kinds import ESTIMATES
-from daemon.history.reader import HistoryReader
 from daemon.model_release.loading import read_model
 from drivers.files.recording_csv import read_recording
 from models.thermal.estimation import Machine, OnlineReference
@@ -183,35 +179,3 @@ def test_the_figures_of_a_slope_along_an_axis_are_in_um_per_m(tmp_path: Path, mo
     assert "Z1_per_m [um/m]" in done.stderr
     page = (tmp_path / "page.html").read_text(encoding="utf-8").replace("\\u002f", "/")
     assert "Z1_per_m [um/m]" in page and page.count('"um/m"') == 2, "both drawings of the slope"
-
-
-@pytest.mark.slow
-@pytest.mark.wires
-def test_a_replay_plays_the_positions_and_holds_where_one_is_missing(tmp_path: Path) -> None:
-    recording, columns = recorded(tmp_path, stay_min=5)
-    model_file = tmp_path / "model.json"
-    arguments = ["thermal", "train", str(recording), "--map", str(columns), "--model", "increments"]
-    assert CliRunner().invoke(main, [*arguments, "-o", str(model_file)]).exit_code == 0
-    head, *rows = recording.read_text(encoding="utf-8").splitlines()
-    for minute in range(497, 501):
-        fields = rows[minute].split(",")
-        rows[minute] = ",".join([*fields[:4], "", *fields[5:]])
-    recording.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
-    command = [sys.executable, "-P", "-m", "daemon.cli", "replay", str(recording), "--map", str(columns)]
-    command += ["--model", str(model_file), "--speed", "30", "--json", "-", "--html", str(tmp_path / "replay.html")]
-    command += ["--from-hours", "8.2", "--to-hours", "8.4", "--directory", str(tmp_path / "kept")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
-    assert done.returncode in (0, 1), done.stderr  # a busy computer misses the positioning, and that is said
-    assert json.loads(done.stdout)["positions"] == {"Z_mm": {"axis": "X", "known": pytest.approx(1.0 - 4.0 / 12.0)}}
-    said = (
-        "axis position Z_mm: played as axis X of the simulated control, straight from row to row; missing in 33.3% of"
-    )
-    assert said in done.stderr and said in (tmp_path / "replay.html").read_text(encoding="utf-8")
-    with HistoryReader(tmp_path / "kept" / "history.sqlite") as reader:
-        read_mm = reader.cnc(0.0, 1e11).positions_mm["Z_mm"]
-        frame = reader.frame(ESTIMATES, 0.0, 1e11, {"confidence"})
-    played_mm = [float(row.split(",")[4] or "nan") for row in rows[492:504]]
-    assert np.nanmin(read_mm) >= min(played_mm) - 0.01 and np.nanmax(read_mm) <= max(played_mm) + 0.01
-    assert np.isnan(read_mm).any() and len(np.unique(read_mm[np.isfinite(read_mm)])) > 3, "also between rows"
-    confidence = frame.numbers("confidence")
-    assert confidence.max() == 1.0 and confidence.min() == 0.0, "where the position is missing nothing is followed"

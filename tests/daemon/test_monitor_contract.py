@@ -9,7 +9,7 @@ from monitor_bench import accounts_file, monitor
 
 from daemon.monitor.web.reference import reference
 
-EXAMPLES = 10
+EXAMPLES = 4
 """Of each operation in the fuzzing phase, beside what the coverage phase makes of every bound."""
 NOT_ASKED = ("/api/v1/events", "/api/v1/export")
 """One never ends, the other is a file; each has tests of its own."""

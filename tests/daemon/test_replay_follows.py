@@ -58,16 +58,14 @@ def played(tmp_path: Path, recording: Path, model: Path, *options: str) -> "subp
 
 @pytest.mark.slow
 @pytest.mark.wires
-@pytest.mark.parametrize("family", ["default", "increments"])
-def test_what_training_makes_is_followed(tmp_path: Path, family: str) -> None:
-    """Half of a run that the model has not seen: a mean of families, and a model without lags.
+def test_what_training_makes_is_followed(tmp_path: Path) -> None:
+    """Half of a run that the model has not seen.
 
-    The other families are models of these kinds; `thermal evaluate` runs each as the daemon does, and rises since the
-    start are played with one of them.
+    `thermal evaluate` runs each other family as the daemon does, and rises since the start are played with one of them.
     """
     paths = [str(run(tmp_path, number)) for number in range(1, 7)]
     model = tmp_path / "model.json"
-    trained = CliRunner().invoke(main, ["thermal", "train", *paths[:-1], "--model", family, "-o", str(model)])
+    trained = CliRunner().invoke(main, ["thermal", "train", *paths[:-1], "-o", str(model)])
     assert trained.exit_code == 0, trained.output
     done = played(tmp_path, Path(paths[-1]), model, "--speed", "60", "--to-hours", "0.4")
     assert done.returncode == 0, done.stderr

@@ -63,7 +63,7 @@ def test_the_bounds_hold_the_spectral_radius_between_them(
     assert lower[0, 0] == pytest.approx(radius, rel=1e-3)
 
 
-@pytest.mark.parametrize(("mode", "radial_mm"), [("slot", 16.0), ("down", 1.6), ("up", 0.3), ("down", 0.05)])
+@pytest.mark.parametrize(("mode", "radial_mm"), [("down", 1.6), ("down", 0.05)])
 def test_radii_over_depths_are_those_of_the_discretised_cut(mode: str, radial_mm: float) -> None:
     """Immersions down to 0.3 %: there 200 steps of the semi-discretisation are off by more than they."""
     tool, depths_mm = cut(mode, 2, radial_mm), np.array([0.05, 0.5, 2.0])

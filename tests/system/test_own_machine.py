@@ -15,7 +15,6 @@ from config.machines import shipped_file
 from config.records.commissioning import load_commissioning
 from daemon.cli import main
 from daemon.cli.simulate.own_machine import beyond_waiting
-from daemon.history.reader import HistoryReader
 from daemon.model_release.gate import machine_inhibit, slope_inhibit
 from daemon.model_release.loading import read_model
 from daemon.simulation import own_machine
@@ -165,20 +164,3 @@ def test_a_slope_gets_its_record_and_a_model_of_simulated_days_that_tells_it(
     without, with_slope = np.sqrt(np.mean(np.square(left), axis=0))
     print(f"{without:.2f} um along the axis without its slope, {with_slope:.2f} um with it")
     assert without > 1.0 and with_slope < 0.6 * without
-
-
-@pytest.mark.wires
-@pytest.mark.slow
-def test_a_slope_is_rehearsed_on_an_axis_that_travels_and_grows(tmp_path: Path) -> None:
-    """Whether it is good enough is for the person to see: on a busy computer links are lost, and the output holds."""
-    path = sloped(tmp_path / "mine.yaml")
-    command = ["simulate", "--config", str(path), "--minutes", "12", "--enable", "--json", "-"]
-    done = CliRunner().invoke(main, [*command, "--directory", str(tmp_path / "folder")])
-    assert done.exit_code in (0, 1), done.output
-    assert json.loads(done.stdout)["writes"]["verified"] > 0
-    with HistoryReader(tmp_path / "folder" / "history.sqlite") as reader:
-        begin_s, end_s = reader.extent("cnc") or (0.0, 0.0)
-        found = reader.cnc(begin_s, end_s + 1.0)
-    places_mm = found.positions_mm["Z_mm"]
-    assert np.ptp(places_mm[np.isfinite(places_mm)]) > 400.0
-    assert np.nanmax(np.abs(found.macros[513])) > 0.0, "the guard has taken a slope over"

@@ -105,9 +105,8 @@ def test_check_reads_the_box_and_says_that_it_is_not_encrypted(tmp_path: Path, b
 
 @pytest.mark.wires
 @pytest.mark.slow
-@pytest.mark.parametrize("sensors", ["modbus", "mqtt"])
-def test_the_demo_compensates_with_its_sensors_on_other_wires(sensors: str) -> None:
-    command = [sys.executable, "-P", "-m", "daemon.cli", "demo", "--sensors", sensors, "--headless", "--minutes", "20"]
+def test_the_demo_compensates_with_its_sensors_on_another_wire() -> None:
+    command = [sys.executable, "-P", "-m", "daemon.cli", "demo", "--sensors", "modbus", "--headless", "--minutes", "20"]
     done = subprocess.run(
         [*command, "--json", "-"],
         capture_output=True,

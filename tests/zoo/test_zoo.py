@@ -91,19 +91,18 @@ def test_a_machine_is_evaluated_as_a_user_would(tmp_path: Path) -> None:
     assert json.loads(result.stdout)["mean"]["reduction_rmse"] > 0.4
 
 
-def test_every_family_on_a_few_small_machines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_family_on_a_small_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """No family may fail, and the default must be of use; how near it is to the best, the whole table tells."""
-    numbers = ",".join(str(machine.number) for machine in ROSTER if machine.number in (11, SMALL.number))
     result = tmp_path / "zoo.json"
-    assert zoo.main(["--only", numbers, "--processes", "1", "--json", str(result)]) == 0
+    assert zoo.main(["--only", str(SMALL.number), "--processes", "1", "--json", str(result)]) == 0
     found = json.loads(result.read_text("utf-8"))
-    assert len(found["machines"]) == 2 and found["halves"][0]["half"] == "tuning"
+    assert len(found["machines"]) == 1 and found["halves"][0]["half"] == "tuning"
     for machine in found["machines"]:
         assert all(value is not None for value in machine["reductions"].values()), machine
         assert machine["reductions"][zoo.DEFAULT] > 0.6, machine
         assert machine["points"] > -20.0, machine
     table = capsys.readouterr().out
-    assert f"tuning: machines 11, {SMALL.number}" in table and "points below it on" in table
+    assert f"tuning: machines {SMALL.number}" in table and "points below it on" in table
 
 
 @pytest.mark.parametrize(
