@@ -123,7 +123,7 @@ class ControlSocket:
         try:
             while first := await reader.read(1):
                 async with asyncio.timeout(REQUEST_S):
-                    line = first if first == b"\n" else first + await reader.readline()
+                    line = first if first == b"\n" else first + await _rest_of_line(reader)
                 with conversation.request():
                     answer = await self._answer(line, person)
                 async with asyncio.timeout(REQUEST_S):
@@ -136,6 +136,8 @@ class ControlSocket:
             writer.transport.abort()
 
     async def _answer(self, line: bytes, person: str) -> dict[str, Any]:
+        if len(line) > LONGEST_REQUEST:
+            return {"ok": False, "error": f"the request is longer than {LONGEST_REQUEST} byte"}
         try:
             request = all_printable(json.loads(line))
         except (ValueError, RecursionError) as error:
@@ -147,6 +149,20 @@ class ControlSocket:
         except RequestError as error:
             self._refused((person, str(error)))
             return {"ok": False, "error": str(error)}
+
+
+async def _rest_of_line(reader: asyncio.StreamReader) -> bytes:
+    """Return what comes before the end of the line; of one that is too long only a piece that is too long."""
+    too_long = b""
+    while True:
+        try:
+            line = await reader.readuntil(b"\n")
+        except asyncio.IncompleteReadError as end:
+            line = end.partial
+        except asyncio.LimitOverrunError as error:
+            too_long = await reader.read(error.consumed)
+            continue
+        return too_long or line
 
 
 def _say_refused(refusal: tuple[str, str], left_out: int) -> None:

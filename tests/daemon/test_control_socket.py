@@ -8,7 +8,7 @@ import stat
 import pytest
 
 from daemon.monitor.control_client import ControlClient, DaemonUnreachableError
-from daemon.monitor.control_socket import ControlSocket, RequestError
+from daemon.monitor.control_socket import LONGEST_REQUEST, ControlSocket, RequestError
 
 
 async def serve(path, handle, work):
@@ -66,22 +66,34 @@ async def test_refusals_and_garbage_are_answered_in_words(tmp_path):
     assert b"not JSON" in deep and b"not JSON" in number
 
 
-async def test_a_line_without_an_end_closes_the_conversation(tmp_path):
+@pytest.mark.parametrize("beyond", [1, 100_000, 1_000_000])
+async def test_a_line_that_is_too_long_is_refused_in_words_and_the_conversation_goes_on(tmp_path, beyond):
     async def handle(request, person):
         return {}
 
     def work():
         client = ControlClient(tmp_path / "s")
-        with contextlib.suppress(OSError):  # it may hang up while we still talk
-            client._socket.sendall(b"x" * 1_000_000)
-        with pytest.raises(DaemonUnreachableError):
+        client._socket.sendall(b"x" * (LONGEST_REQUEST + beyond))
+        with pytest.raises(RequestError, match="longer than 65536 byte"):
             client.ask("status")
+        assert client.ask("status") == {}
         client.close()
-        other = ControlClient(tmp_path / "s")
-        assert other.ask("status") == {}
-        other.close()
 
     await serve(tmp_path / "s", handle, work)
+
+
+async def test_a_line_that_is_as_long_as_it_may_be_is_answered(tmp_path):
+    async def handle(request, person):
+        return {"length": len(request["text"])}
+
+    def work():
+        client = ControlClient(tmp_path / "s")
+        text = "x" * (LONGEST_REQUEST - len('{"command": "t", "text": ""}\n'))
+        answer = client.ask("t", text=text)
+        client.close()
+        return answer == {"length": len(text)}
+
+    assert await serve(tmp_path / "s", handle, work)
 
 
 def test_without_a_daemon_the_client_says_what_to_do(tmp_path):
