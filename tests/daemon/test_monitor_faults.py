@@ -165,3 +165,12 @@ async def test_what_is_no_http_or_none_of_ours_is_answered_with_4xx_or_ended(tmp
             assert not answer or answer.startswith(b"HTTP/1.1 4"), answer
         writer.close()
         assert await status_now(bench) == 200
+
+
+@pytest.mark.parametrize("lines", [[b"x" * 20_000], [b"x"] * 4_000])
+async def test_a_head_that_is_too_long_is_refused_also_when_it_arrives_at_once(tmp_path, lines):
+    async with monitor(tmp_path) as bench, asyncio.timeout(60):
+        reader, writer = await connected(bench.port)
+        writer.write(b"GET / HTTP/1.1\r\nHost: localhost\r\n" + b"".join(b"X: %b\r\n" % x for x in lines) + b"\r\n")
+        assert "no HTTP request, or its head is longer than 16384 byte" in (await refusal(reader, 400))["detail"]
+        writer.close()

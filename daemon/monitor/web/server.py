@@ -32,6 +32,7 @@ SHARE_OF_DESCRIPTORS = 4
 HEADER_LINES = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
 LONGEST_HEAD = 16384
 """A head of a request that has not ended by then is refused [byte]."""
+PIECE = 1024
 
 
 class _Connection(H11Protocol):
@@ -51,7 +52,11 @@ class _Connection(H11Protocol):
         self._wait_for_head()
 
     def data_received(self, data: bytes) -> None:
-        super().data_received(data)
+        """Take what has come, piece by piece: the bound of a head counts only while it has not ended."""
+        for at in range(0, len(data), PIECE):
+            super().data_received(data[at : at + PIECE])
+            if self.transport.is_closing():
+                return
         self._look()
 
     def send_400_response(self, msg: str) -> None:
