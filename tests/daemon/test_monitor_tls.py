@@ -2,10 +2,17 @@
 
 import asyncio
 import contextlib
+import fcntl
+import os
+import pty
 import ssl
+import subprocess
+import sys
+import termios
 
 import pytest
 from certificates import HOST, make_certificate
+from cryptography.hazmat.primitives import serialization
 from monitor_bench import accounts_file, monitor
 
 from daemon.monitor.web import access
@@ -91,3 +98,35 @@ async def test_a_certificate_that_was_replaced_counts_from_the_next_connection(t
         assert (await bench.browser().get("/api/v1/session")).status == 200
         with pytest.raises(ssl.SSLError):
             await before.get("/api/v1/session")
+
+
+def test_an_encrypted_key_is_refused_and_nobody_is_asked_for_its_password(tmp_path):
+    """A terminal is there: what asks would hold the daemon's loop."""
+    make_certificate(tmp_path)
+    key = serialization.load_pem_private_key((tmp_path / "monitor.key").read_bytes(), None)
+    encrypted = key.private_bytes(
+        serialization.Encoding.PEM,
+        serialization.PrivateFormat.PKCS8,
+        serialization.BestAvailableEncryption(b"a password"),
+    )
+    (tmp_path / "monitor.key").write_bytes(encrypted)
+    code = (
+        "import sys; from pathlib import Path; from daemon.monitor.web.server import Certificate; "
+        "Certificate(Path(sys.argv[1]), Path(sys.argv[2]))"
+    )
+    person, terminal = pty.openpty()
+    try:
+        ended = subprocess.run(
+            [sys.executable, "-P", "-c", code, tmp_path / "monitor.crt", tmp_path / "monitor.key"],
+            check=False,
+            stdin=terminal,
+            stdout=terminal,
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+            timeout=60,
+        )
+    finally:
+        os.close(person)
+        os.close(terminal)
+    assert ended.stderr.decode().rpartition("\n")[0].rpartition("\n")[2].startswith("ssl.SSLError")

@@ -115,7 +115,7 @@ class Certificate:
     def _loaded(self) -> ssl.SSLContext:
         context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
-        context.load_cert_chain(self._certificate, self._key)
+        context.load_cert_chain(self._certificate, self._key, password="")  # of an encrypted key nobody is asked
         return context
 
     def _stamp(self) -> tuple[int, int] | None:
