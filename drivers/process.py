@@ -18,7 +18,7 @@ from models.json_values import printable
 LAST_WORDS = 5
 """So many lines of what it last wrote to its standard error are told when the program ends."""
 QUOTED = 200
-LINES_PER_TURN = 50
+LINES_PER_TURN = 10
 """Lines after which other tasks get their turn."""
 END_PATIENCE_S = 2.0
 """The program may take so long to end when it is told to; then it is killed."""
@@ -80,10 +80,7 @@ class ProcessSource(PushedSource):
             number += 1
             if number % LINES_PER_TURN == 0:
                 await asyncio.sleep(0)
-            if self.wanted(self._clock.now()):
-                self._take(line, number)
-            else:
-                self.heard()
+            self._take(line, number)
 
     def _take(self, line: bytes, number: int) -> None:
         try:
@@ -94,7 +91,7 @@ class ProcessSource(PushedSource):
             return
         fields = {each.key: each.field for each in self._config.every_input}
         if readings := readings_in(content, fields):
-            self.put_row(readings, self._clock.now())
+            self.put_set(readings)
         else:
             self.report(f"source {self.name}: line {number} has none of the configured fields; correct `field`")
 

@@ -40,6 +40,7 @@ class PushedSource(RowSource):
         self._row_s = -math.inf
         self._dropped = 0
         self._single: dict[int | str, float | NoReading] = {}
+        self._set: Readings | None = None
         self._single_since: Instant | None = None
         self._single_from_s = self._newest_s = -math.inf
         self._problems: deque[str] = deque(maxlen=MOST_WAITING)
@@ -51,25 +52,33 @@ class PushedSource(RowSource):
 
     # --- what the driver calls ----------------------------------------------------------
 
-    def wanted(self, measured: Instant) -> bool:
-        """Whether a row of this time makes a cycle; cleansing counts readings that agree, so none follow too fast."""
-        return measured.monotonic_s - self._row_s >= FEWEST_PERIODS * self._source.cycle_period_s
-
     def put_row(self, readings: Readings, measured: Instant) -> None:
-        """Take one number of each sensor that has one, measured at `measured`; a row too soon after one is left out."""
+        """Take one number of each sensor that has one, measured at `measured`.
+
+        A row too soon after one is left out: cleansing counts readings that agree.
+        """
         self.heard()
-        if not self.wanted(measured):
+        if measured.monotonic_s - self._row_s < FEWEST_PERIODS * self._source.cycle_period_s:
             return
         self._row_s = measured.monotonic_s
         self._dropped += len(self._rows) == MOST_WAITING
-        told = {key: self._maker.of_one_device(key, reading) for key, reading in readings.items()}
-        self._rows.append((told, measured))
+        self._rows.append((self._of_one_device(readings), measured))
 
     def put(self, key: int | str, reading: float | NoReading) -> None:
         """Take one sensor's number; those of one cycle period make a cycle, the newest of each sensor.
 
         Many at once make one cycle too: they are of nobody knows when, but for the newest.
         """
+        self._begin_set()
+        self._single[key] = self._maker.of_one_device(key, reading)
+
+    def put_set(self, readings: Readings) -> None:
+        """Take one number of each sensor that has one, of nobody knows when: of many at once the newest count."""
+        self._begin_set()
+        self._set = readings
+
+    def _begin_set(self) -> None:
+        """Note when the first number of a set comes, and from when on the set counts once it is whole."""
         now = self._clock.now()
         if self._single_since is None:
             self._single_since, apart_s = now, FEWEST_PERIODS * self._source.cycle_period_s
@@ -77,8 +86,10 @@ class PushedSource(RowSource):
             silent = now.monotonic_s - self._newest_s > going_on_s
             self._single_from_s = max(now.monotonic_s + silent * apart_s, self._row_s + apart_s)
         self._newest_s = now.monotonic_s
-        self._single[key] = self._maker.of_one_device(key, reading)
         self.heard()
+
+    def _of_one_device(self, readings: Readings) -> Readings:
+        return {key: self._maker.of_one_device(key, reading) for key, reading in readings.items()}
 
     def heard(self) -> None:
         """Note that the source lives."""
@@ -109,33 +120,39 @@ class PushedSource(RowSource):
         self._task.add_done_callback(lambda _: self._wake.set())
         try:
             while not self._closed:
-                for row in self._due():
+                ended = self._task.done()
+                for row in self._due(ended=ended):
                     yield row
                 if self._closed:
                     return
-                if self._task.done():
+                if ended:
                     self._task.result()
                     raise LinkError(f"source {self.name}: {self.silent()}")
                 await self._wait()
         finally:
             await self.close()
 
-    def _due(self) -> list[Row]:
+    def _due(self, *, ended: bool = False) -> list[Row]:
+        """Return the rows whose time has come; of a source that has ended also a set that is whole."""
         rows = []
         while self._rows:
             readings, measured = self._rows.popleft()
             rows.append(self._row(readings, measured))
         since = self._single_since
-        if since is not None and self._left_of_single_real_s(since) <= 0:
-            single, self._single, self._single_since = self._single, {}, None
+        if since is not None and (self._left_of_single_real_s(since) <= 0 or (ended and self._whole)):
+            single = self._single if self._set is None else self._of_one_device(self._set)
+            self._single, self._set, self._single_since = {}, None, None
             self._row_s = max(since.monotonic_s, self._single_from_s)
             rows.append(self._row(single, since))
         return rows
 
+    @property
+    def _whole(self) -> bool:
+        return self._set is not None or len(self._single) == len(self._source.inputs)
+
     def _left_of_single_real_s(self, since: Instant) -> float:
         """Return how long what has come since then may still wait for the rest of it [s]: its period when not whole."""
-        whole = len(self._single) == len(self._source.inputs)
-        periods = (self._single_from_s - since.monotonic_s) / self._source.cycle_period_s if whole else 1.0
+        periods = (self._single_from_s - since.monotonic_s) / self._source.cycle_period_s if self._whole else 1.0
         return self._left_real_s(since.real_s, periods)
 
     def _row(self, readings: Readings, measured: Instant) -> Row:

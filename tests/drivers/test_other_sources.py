@@ -269,16 +269,35 @@ def alive(pid: int) -> bool:
 
 async def test_a_program_that_floods_makes_no_more_cycles_than_its_period_and_leaves_the_loop_to_others() -> None:
     opened = program("import sys\nwhile True: sys.stdout.write('{\"t\": 20}\\n' * 1000)")
+    began_s = SystemClock().now().monotonic_s
     cycles = opened.cycles()
-    before = await following(cycles)
-    for _ in range(5):
+    for number in range(1, 11):
         cycle = await following(cycles)
-        apart_s = cycle.trace.first_byte.monotonic_s - before.trace.first_byte.monotonic_s
-        assert apart_s >= pushing.FEWEST_PERIODS * 0.05
-        before = cycle
+        assert cycle.trace.last_byte.monotonic_s - began_s >= number * pushing.FEWEST_PERIODS * 0.05
     async with asyncio.timeout(PATIENCE_S):
         await asyncio.sleep(0.01)
     await opened.close()
+
+
+async def test_of_lines_that_a_program_writes_at_once_the_newest_counts() -> None:
+    """What it had kept, for a buffer that was not flushed or a daemon that stood still: the oldest was taken for now."""
+    opened = program(
+        "import time\n"
+        "for t in range(20, 60): print('{\"t\": %d}' % t)\n"
+        "time.sleep(1.2)\n"
+        "for t in range(20, 40): print('{\"t\": %d}' % t)\n"
+        "time.sleep(60)"
+    )
+    cycles = opened.cycles()
+    assert [(await following(cycles)).degc.tolist() for _ in range(2)] == [[59.0], [39.0]]
+    await opened.close()
+
+
+async def test_the_last_line_of_a_program_that_ends_counts() -> None:
+    cycles = program("print('{\"t\": 20}'); print('{\"t\": 21}')").cycles()
+    assert (await following(cycles)).degc.tolist() == [21.0]
+    with pytest.raises(LinkError, match="ended with status 0"):
+        await following(cycles)
 
 
 # --- MQTT and OPC UA --------------------------------------------------------------------
