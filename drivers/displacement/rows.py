@@ -69,13 +69,15 @@ class _Columns:
     channels: tuple[int, ...]
     count: int
     """Fields that a whole row has at least."""
+    titles: int | None = None
+    """Fields of the header; None without one."""
 
 
 class RowReader:
     """Reads the lines of one file from its first on.
 
-    A row is refused whole when its time cannot be read or when it has fewer fields than the header: its
-    last field may then be cut. An unreadable or overflowed field makes only its own value NaN.
+    A row is refused whole when its time cannot be read or when it has other fields than the header: its last one may
+    be cut, or a mark within numbers may have split them. An unreadable or overflowed field makes only its own value NaN.
     """
 
     def __init__(self, config: Logged, file: str, report: Callable[[str], None]) -> None:
@@ -149,6 +151,13 @@ class RowReader:
                 "it may have been cut off and is skipped"
             )
             return None
+        if columns.titles is not None and any(fields[columns.titles :]):
+            self._report(
+                f"{place}:{columns.titles + 1}: this row has {len(fields)} fields where the header has "
+                f"{columns.titles}, so that nobody knows which is which: correct `delimiter`, which must not be the "
+                "decimal mark too, or the logger's files; the row is skipped"
+            )
+            return None
         stamp = " ".join(fields[index] for index in columns.time)
         try:
             utc_s = self._clock(stamp, self.data_rows - 1)
@@ -194,9 +203,11 @@ class RowReader:
         wanted = [] if start_of(self._file_config) else list(self._file_config.time_columns)
         time = tuple(self._find(column, titles, number) for column in wanted)
         channels = tuple(self._find(channel.column, titles, number) for channel in self._channels)
+        count = len(titles)
         while titles and not titles[-1]:
             titles = titles[:-1]
-        return _Columns(time=time, channels=channels, count=max(*time, *channels, len(titles) - 1) + 1)
+        most = max(*time, *channels, len(titles) - 1)
+        return _Columns(time=time, channels=channels, count=most + 1, titles=count)
 
     def _find(self, column: str | int, titles: Sequence[str], number: int) -> int:
         if isinstance(column, int):

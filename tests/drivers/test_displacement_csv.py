@@ -128,6 +128,17 @@ async def test_bad_rows_are_reported_with_their_place_and_skipped(path: Path) ->
     assert follower.source.last_problem is not None
     assert f"{path}:2:2: this row has 2 fields where 3 are expected" in follower.source.last_problem
 
+    path.write_text(HEADER + "2026-01-31T08:00:00,1,5,-2,25\n" + row(1))
+    follower, values = await read_all(config(path), 1, problems=1)
+    assert follower.source.last_problem is not None
+    assert f"{path}:2:4: this row has 5 fields where the header has 3" in follower.source.last_problem
+    assert "`delimiter`" in follower.source.last_problem and values == [[1.5, -2.25]]
+
+
+async def test_empty_fields_beyond_the_header_are_none(path: Path) -> None:
+    path.write_text(HEADER + row(0).replace("\n", ",,\n"))
+    assert (await read_all(config(path), 1))[1] == [[1.5, -2.25]]
+
 
 async def test_overlong_lines_are_skipped_whole_or_in_pieces(path: Path) -> None:
     append(path, HEADER + row(0) + "x" * 500 + "\n" + row(1))
