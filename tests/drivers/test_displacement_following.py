@@ -80,6 +80,19 @@ def old_files(folder: Path, count: int) -> None:
         os.utime(file, (T0 + number, T0 + number))
 
 
+async def test_a_file_that_was_renamed_when_the_next_one_began_repeats_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "logger.csv"
+    append(path, HEADER + row(0) + row(1))
+    async with Follower(config(tmp_path / "*.csv")) as follower:
+        await follower.until(2)
+        append(path, row(2))
+        path.rename(tmp_path / "logger-1.csv")
+        append(path, HEADER + row(3))
+        await follower.until(4)
+        await follower.settle()
+    assert minutes(follower.samples) == [0, 1, 2, 3]
+
+
 async def test_after_a_restart_missed_rows_of_older_files_are_read(tmp_path: Path) -> None:
     old_files(tmp_path, CATCH_UP_FILES)
     async with Follower(config(tmp_path / "*.csv"), after_utc_s=T0 + 3 * 60) as follower:
