@@ -77,7 +77,7 @@ class RowReader:
     """Reads the lines of one file from its first on.
 
     A row is refused whole when its time cannot be read or when it has other fields than the header: its last one may
-    be cut, or a mark within numbers may have split them. An unreadable or overflowed field makes only its own value NaN.
+    be cut, or a mark within numbers may have split them. An unreadable or overflowed field makes only its own NaN.
     """
 
     def __init__(self, config: Logged, file: str, report: Callable[[str], None]) -> None:

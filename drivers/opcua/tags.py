@@ -23,6 +23,10 @@ from drivers.polling import PolledSource
 from drivers.readings import NoReading, Readings
 from models.quality import Reason
 
+NOT_MEASURED = 0xFFFF_0300
+"""Bits of a status that say more than good: severity and subcode, as of a value that a person has put in place of the
+sensor's (GoodLocalOverride), and that the value stands at a limit (OPC 10000-4, 7.39)."""
+
 
 class TagSession:
     """One session with a server whose tags are read, to be used once."""
@@ -131,11 +135,12 @@ class OpcUaTagSource(PolledSource):
 def reading_of(answer: ua.DataValue, node: str) -> float | NoReading:
     """Return the number of a tag."""
     status = answer.StatusCode
-    if status is not None and not status.is_good():
+    if status is not None and int(status.value) & NOT_MEASURED:
         if status.name in ("BadNodeIdUnknown", "BadNodeIdInvalid"):
             why = f"has no tag {node!r} in the server: correct `node`"
             return NoReading(reason=Reason.NOT_RECEIVED, why=why)
-        return NoReading(reason=Reason.DEVICE_ERROR, why=f"has a tag {node!r} whose status is {status.name}")
+        why = f"has a tag {node!r} whose status is {status.name} ({int(status.value):08X})"
+        return NoReading(reason=Reason.DEVICE_ERROR, why=why)
     value = None if answer.Value is None else answer.Value.Value
     if value is None:
         return NoReading(reason=Reason.NOT_RECEIVED, why=f"has a tag {node!r} without a value")

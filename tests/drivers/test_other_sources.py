@@ -280,7 +280,7 @@ async def test_a_program_that_floods_makes_no_more_cycles_than_its_period_and_le
 
 
 async def test_of_lines_that_a_program_writes_at_once_the_newest_counts() -> None:
-    """What it had kept, for a buffer that was not flushed or a daemon that stood still: the oldest was taken for now."""
+    """What it had kept, for want of a flush or for a daemon that stood still: the oldest was taken for the present."""
     opened = program(
         "import time\n"
         "for t in range(20, 60): print('{\"t\": %d}' % t)\n"
@@ -442,6 +442,13 @@ async def test_a_second_device_at_the_broker_is_told(broker: int, tmp_path: Path
             Reason.DEVICE_ERROR,
         ),
         (ua.DataValue(None, ua.StatusCode(ua.UInt32(ua.StatusCodes.BadNodeIdUnknown))), Reason.NOT_RECEIVED),
+        (
+            ua.DataValue(ua.Variant(21.5), ua.StatusCode(ua.UInt32(ua.StatusCodes.GoodLocalOverride))),
+            Reason.DEVICE_ERROR,
+        ),
+        (ua.DataValue(ua.Variant(21.5), ua.StatusCode(ua.UInt32(ua.StatusCodes.GoodClamped))), Reason.DEVICE_ERROR),
+        (ua.DataValue(ua.Variant(21.5), ua.StatusCode(ua.UInt32(0x0000_0600))), Reason.DEVICE_ERROR),
+        (ua.DataValue(ua.Variant(21.5), ua.StatusCode(ua.UInt32(0x0000_0400))), 21.5),
     ],
 )
 def test_tags(answer: ua.DataValue, found: float | Reason) -> None:
