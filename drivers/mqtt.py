@@ -5,7 +5,7 @@ import json
 import logging
 import math
 import ssl
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import aiomqtt
@@ -23,6 +23,9 @@ from models.quality import Reason
 LARGEST_BYTES = 1 << 16
 """A longer message is not read."""
 QUOTED = 80
+NAMED = 8
+REFUSED = 0x80
+"""Answers to a subscription are refusals from here on."""
 
 logging.getLogger("mqtt").setLevel(logging.CRITICAL + 1)  # what matters is raised here
 
@@ -57,7 +60,7 @@ class MqttSource(PushedSource):
         )
         try:
             async with connection as client:
-                await client.subscribe([(topic, 0) for topic in self._topics])
+                self._refuse(await client.subscribe([(topic, 0) for topic in self._topics]))
                 async for message in client.messages:
                     self._take(message)
         except (aiomqtt.MqttError, OSError, TimeoutError, UnicodeError) as error:
@@ -65,6 +68,17 @@ class MqttSource(PushedSource):
         finally:
             with contextlib.suppress(Exception):  # else its pair of sockets stays open until the garbage is collected
                 connection._client._reset_sockets()
+
+    def _refuse(self, answers: Sequence[Any]) -> None:
+        """Say which topics the broker does not pass on; raises LinkError where that is all of them."""
+        codes = [getattr(answer, "value", answer) for answer in answers]
+        refused = [topic for topic, code in zip(self._topics, codes, strict=False) if code >= REFUSED]
+        if refused:
+            topics = ", ".join(map(repr, refused[:NAMED]))
+            words = f"{self._where} refuses {topics}: let `user_name` read it, or correct `topic`"
+            if len(refused) == len(self._topics):
+                raise LinkError(words)
+            self.report(words)
 
     def _why(self, error: BaseException) -> str:
         text = str(error)

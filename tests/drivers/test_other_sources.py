@@ -408,6 +408,36 @@ def subscribed(port: int, folder: Path, password: str) -> MqttSource:
     return MqttSource(source("mqtt", section, {**SENSOR, "topic": "m/7"}, period_s=0.05), SystemClock())
 
 
+CONNACK, SUBACK = b"\x20\x02\x00\x00", b"\x90%c\x00\x01"
+
+
+@pytest.mark.parametrize(
+    ("answers", "said"),
+    [
+        ([], "timed out"),
+        ([CONNACK], "timed out"),
+        ([CONNACK, SUBACK % 3 + b"\x00"], "has passed on no message for three cycle periods"),
+        ([CONNACK, SUBACK % 3 + b"\x80"], "refuses 'm/7': let `user_name` read it, or correct `topic`"),
+        ([b"HTTP/1.1 400 Bad Request\r\n\r\n"], "check address, port"),
+    ],
+)
+async def test_a_broker_that_falls_silent_or_refuses_a_topic_is_a_lost_link(answers: list[bytes], said: str) -> None:
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        for answer in answers:
+            await reader.read(4096)
+            writer.write(answer)
+        await reader.read()
+        writer.close()
+
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    section = {"host": "127.0.0.1", "port": server.sockets[0].getsockname()[1], "timeout_s": 0.5}
+    opened = MqttSource(source("mqtt", section, {**SENSOR, "topic": "m/7"}, period_s=0.05), SystemClock())
+    with pytest.raises(LinkError, match=re.escape(said)):
+        await following(opened.cycles())
+    await opened.close()
+    server.close()
+
+
 @pytest.mark.wires
 async def test_a_second_device_at_the_broker_is_told(broker: int, tmp_path: Path) -> None:
     async with aiomqtt.Client("127.0.0.1", broker, username="toolpoint", password="right") as device:
