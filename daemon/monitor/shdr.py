@@ -13,7 +13,7 @@ import structlog
 
 from config.schema import Configuration
 from daemon.monitor.arrival import too_old
-from daemon.monitor.connections import BoundedConnections, Conversation
+from daemon.monitor.connections import BoundedConnections, Conversation, in_url, listening
 from daemon.snapshots import SnapshotBoard
 from models.quality import Quality
 from models.records import OutputState
@@ -45,9 +45,8 @@ class ShdrAdapter:
         """Serve until cancelled; raises OSError when the port is taken."""
         section = self._configuration.shdr
         assert section is not None
-        family = socket.AF_INET6 if ":" in section.host else socket.AF_INET
-        with socket.create_server((section.host, section.port), family=family, backlog=MOST_CONNECTIONS) as listener:
-            log.info("shdr.serving", address=f"{section.host}:{listener.getsockname()[1]}")
+        with listening(section.host, section.port, MOST_CONNECTIONS) as listener:
+            log.info("shdr.serving", address=in_url(section.host, listener.getsockname()[1]))
             on_serving()
             await BoundedConnections("SHDR adapter", self._converse, most=MOST_CONNECTIONS).run(listener)
 

@@ -33,6 +33,15 @@ async def next_status(reader):
             return json.loads(line[6:])
 
 
+async def test_it_is_served_on_ipv6_and_says_an_address_that_a_browser_takes(tmp_path, capsys):
+    async with monitor(tmp_path, http_host="::1") as bench, asyncio.timeout(60):
+        reader, writer = await asyncio.open_connection("::1", bench.port)
+        writer.write(b"GET /api/v1/status HTTP/1.1\r\nHost: [::1]:%d\r\nConnection: close\r\n\r\n" % bench.port)
+        assert (await reader.read()).startswith(b"HTTP/1.1 200")
+        writer.close()
+        assert f"http://[::1]:{bench.port}/" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("words", [b"", b"G", b"GET /api/v1/status HTTP/1.1\r\nHost: loc", b"POST / HTTP/1.1\r\nX"])
 async def test_a_head_that_does_not_arrive_in_time_ends_the_connection(tmp_path, monkeypatch, words):
     monkeypatch.setattr(server, "HEAD_S", 0.05)

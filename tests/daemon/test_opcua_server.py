@@ -246,6 +246,12 @@ async def test_a_session_ends_with_its_account_and_there_are_only_so_many(tmp_pa
         assert await (await node(one, "state.output")).read_value() == "OFF"
 
 
+async def test_who_asks_with_half_an_address_is_answered(tmp_path, keys):
+    async with tag_server(tmp_path, keys) as bench, bench.logged_in("otto") as client:
+        (first, *_) = await client.uaclient.get_endpoints(ua.GetEndpointsParameters(EndpointUrl="opc.tcp://[::1"))
+        assert first.EndpointUrl == "opc.tcp://localhost/"
+
+
 async def test_a_client_that_takes_nothing_gets_the_newest_and_holds_up_nobody():
     sent, room = [], [True]
     publisher = Publisher(lambda body, number: sent.append((number, body)), lambda: room[0])

@@ -11,7 +11,7 @@ from config.schema import Configuration
 from daemon.history.writer import HistoryWriter
 from daemon.monitor.accounts import Accounts
 from daemon.monitor.commands import CommandDesk
-from daemon.monitor.connections import BoundedConnections, Conversation
+from daemon.monitor.connections import BoundedConnections, Conversation, in_url, listening
 from daemon.monitor.opcua.actions import Actions
 from daemon.monitor.opcua.tags import NAMESPACE, Tags
 from daemon.monitor.opcua.users import AccountUsers
@@ -42,11 +42,11 @@ class OpcUaService:
         server = await self.prepared()
         section = self._configuration.opcua_server
         assert section is not None
-        family = socket.AF_INET6 if ":" in section.host else socket.AF_INET
         most = section.sessions + SPARE_CONNECTIONS
         connections = BoundedConnections("OPC UA server", _serving(server), most=most)
-        with socket.create_server((section.host, section.port), family=family, backlog=WAITING_CONNECTIONS) as listener:
-            log.info("opcua_server.serving", endpoint=f"opc.tcp://{section.host}:{listener.getsockname()[1]}/")
+        with listening(section.host, section.port, WAITING_CONNECTIONS) as listener:
+            endpoint = f"opc.tcp://{in_url(section.host, listener.getsockname()[1])}/"
+            log.info("opcua_server.serving", endpoint=endpoint)
             on_serving()
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(server.publish())

@@ -13,7 +13,7 @@ from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
-from daemon.monitor.connections import BoundedConnections, Conversation
+from daemon.monitor.connections import BoundedConnections, Conversation, listening
 from daemon.monitor.web.gate import CLOSE, HEADERS
 from daemon.monitor.web.problems import problem_response
 
@@ -172,8 +172,7 @@ async def serve_web(
         finally:
             transport.abort()
 
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.create_server((host, port), family=family, backlog=WAITING_CONNECTIONS) as listener:
+    with listening(host, port, WAITING_CONNECTIONS) as listener:
         on_serving()
         await BoundedConnections(
             "monitor", serve, most=MOST_CONNECTIONS, share_of_descriptors=SHARE_OF_DESCRIPTORS

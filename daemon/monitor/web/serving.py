@@ -5,6 +5,7 @@ from collections.abc import Callable
 import structlog
 from cryptography import x509
 
+from daemon.monitor.connections import in_url
 from daemon.monitor.web.application import MonitorParts, monitor_application
 from daemon.monitor.web.server import Certificate, serve_web
 
@@ -23,7 +24,7 @@ async def serve_monitor(parts: MonitorParts, on_serving: Callable[[], None] = la
         except (OSError, ValueError) as error:
             raise OSError(f"{service.tls_certificate} and its key cannot be used ({error})") from error
     application = monitor_application(parts, names)
-    address = f"{'http' if certificate is None else 'https'}://{service.http_host}:{service.http_port}/"
+    address = f"{'http' if certificate is None else 'https'}://{in_url(service.http_host, service.http_port)}/"
 
     def serving() -> None:
         log.info("monitor.serving", pages=address)

@@ -1,5 +1,6 @@
 """Who is at the other end: the session of a connection, bound to a channel and to a person."""
 
+import contextlib
 import hmac
 import math
 import secrets
@@ -168,7 +169,8 @@ class Session:
 def _address(asked: str | None) -> str:
     """Return the address under which a client asks, so that it finds the server behind another name too."""
     if asked and len(asked) <= LONGEST_ADDRESS and asked.isascii() and asked.isprintable():
-        parts = urlsplit(asked)
-        if parts.scheme == "opc.tcp" and parts.hostname:
-            return asked
+        with contextlib.suppress(ValueError):  # of half an IPv6 address
+            parts = urlsplit(asked)
+            if parts.scheme == "opc.tcp" and parts.hostname:
+                return asked
     return "opc.tcp://localhost/"
