@@ -12,6 +12,8 @@ MOST_FAILURES = 5
 FAILURE_WINDOW_S = 60.0
 """So many wrong passwords within this time are taken from one address or for one account [s]."""
 MOST_ADDRESSES = 4096
+MOST_NAME = 64
+"""No account's name is longer; of one that is, no more is kept and told."""
 
 
 class WrongPasswordError(Exception):
@@ -66,7 +68,7 @@ class Passwords:
 
     async def check(self, accounts: Mapping[str, Account], name: str, password: str, address: str) -> Account:
         """Return the account whose password this is; raises WrongPasswordError, or TooManyWrongError."""
-        keys = (f"address {address}", f"account {name}")
+        keys = (f"address {address}", f"account {name[:MOST_NAME]}")
         self._refuse_guessing(keys)
         async with self._one_at_a_time:
             self._refuse_guessing(keys)  # those before it in the queue may have been wrong

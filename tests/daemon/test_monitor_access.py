@@ -178,6 +178,10 @@ async def test_basic_authorisation_reads_and_never_acts(tmp_path):
         for given in ("Basic !!!", "Basic \xe9\xe9", "Basic 6Q=="):
             assert (await browser.get("/api/v1/status", authorization=given)).status == 401
         assert (await browser.get("/api/v1/status", authorization="Bearer x")).status == 401
+        long = "Basic " + base64.b64encode(b"a" * 9000 + b":x").decode()
+        assert (await browser.get("/api/v1/status", authorization=long)).status == 401
+        await bench.rig.history.flushed()
+        assert max(len(text) for text, _ in bench.events()) < 200, "the audit is not for others to fill"
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from daemon.monitor.accounts import MOST_PASSWORD, Accounts, Role
-from daemon.monitor.passwords import Passwords, TooManyWrongError, WrongPasswordError
+from daemon.monitor.passwords import MOST_NAME, Passwords, TooManyWrongError, WrongPasswordError
 from drivers.opcua.server.settings import LoginRefusedError
 
 Report = Callable[[str, str, str | None], object]
@@ -46,7 +46,7 @@ class AccountUsers:
         except TooManyWrongError as error:
             raise LoginRefusedError(str(error)) from error
         except WrongPasswordError as error:
-            self.report("access", f"wrong name or password over OPC UA ({name[:64]!r})", address)
+            self.report("access", f"wrong name or password over OPC UA ({name[:MOST_NAME]!r})", address)
             raise LoginRefusedError(str(error)) from error
         person = OpcUaPerson(name=name, role=account.role, address=address, password_hash=account.password_hash)
         self.report("access", "logged in over OPC UA", person.in_audit)
