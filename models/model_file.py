@@ -226,8 +226,12 @@ def parse(text: str) -> dict[str, Any]:
         """Refuse NaN and infinities, which JSON does not know."""
         raise ModelError("", f"{name} is not a number that a model may hold")
 
+    def finite(digits: str) -> float:
+        """Return the number; raises ModelError for one that is too large, such as 1e999."""
+        return number if math.isfinite(number := float(digits)) else refuse_constant(digits[:40])
+
     try:
-        content = json.loads(text, object_pairs_hook=no_duplicates, parse_constant=refuse_constant)
+        content = json.loads(text, object_pairs_hook=no_duplicates, parse_constant=refuse_constant, parse_float=finite)
     except json.JSONDecodeError as error:
         sentence = f"line {error.lineno}, column {error.colno}: this is not JSON ({error.msg}); is the file whole?"
         raise ModelError("", sentence) from error

@@ -139,6 +139,7 @@ def test_wrong_content_is_refused_by_name(key: str, value: object, sentence: str
         ('{"a": 1, "a": 2}', "a: is written twice"),
         ('{"format_version": NaN}', "NaN is not a number"),
         ('{"format_version": -Infinity}', "-Infinity is not a number"),
+        ('{"format_version": 1, "b": [-1e999]}', "-1e999 is not a number"),
         ("[" * 100_000, ".*nested too deeply"),
         ('{"format_version": ' + "9" * 5000 + "}", ".*cannot be read"),
     ],
