@@ -75,11 +75,14 @@ class TrustedKeys:
         """Return the keys in a folder, none where it is not there; raises SigningError for what is no key."""
         try:
             paths = sorted(path for path in folder.iterdir() if path.suffix == PUBLIC_SUFFIX)
-            found = [trusted_key(path, path.read_bytes()) for path in paths]
         except FileNotFoundError:
             return cls(folder, {})
         except OSError as error:
             raise SigningError(f"{folder}: the keys that count cannot be read ({error.strerror})") from error
+        try:  # one that is named and not there, such as a link to a stick that is pulled, is no lesser key
+            found = [trusted_key(path, path.read_bytes()) for path in paths]
+        except OSError as error:
+            raise SigningError(f"{error.filename}: this key that counts cannot be read ({error.strerror})") from error
         return cls(folder, {key_number(trusted.key): trusted for trusted in found})
 
     def of(self, purpose: Purpose) -> dict[str, TrustedKey]:

@@ -199,3 +199,17 @@ def test_what_is_no_key_among_those_that_count_refuses_everything(signing: Signi
     (folder / "broken.pub").write_text("no key", encoding="utf-8")
     assert signing.loaded.model is None and "no public key" in signing.loaded.inhibit
     assert load_record(signing.installation.configuration)[0] is None
+
+
+@pytest.mark.parametrize("there", ["a link to what is not there", "a folder"])
+def test_a_key_that_cannot_be_read_refuses_everything_and_is_named(signing: Signing, there: str) -> None:
+    """A link to a stick that was pulled: nothing had to be signed any more."""
+    signing.installation.release("ridge-1")
+    folder = signing.installation.configuration.signatures.public_keys
+    folder.mkdir()
+    if there == "a folder":
+        (folder / "anna.pub").mkdir()
+    else:
+        (folder / "anna.pub").symlink_to(folder / "stick/anna.pub")
+    assert signing.loaded.model is None and f"{folder / 'anna.pub'}: this key" in signing.loaded.inhibit
+    assert load_record(signing.installation.configuration)[0] is None

@@ -114,3 +114,11 @@ def test_no_text_is_taken_for_an_account_that_it_does_not_hold(tmp_path_factory,
         assert str(path) in str(error)
         return
     assert all(each.password_hash.startswith("$argon2id$") for each in accounts.values())
+
+
+def test_a_password_that_is_no_text_is_refused_with_a_sentence(tmp_path):
+    path = tmp_path / "users"
+    added(path, "anna")
+    (tmp_path / "password").write_bytes("a long pässword\n".encode("cp1252"))
+    answer = users("password", "anna", "--password-file", tmp_path / "password", "--file", path)
+    assert answer.exit_code == 2 and f"{tmp_path / 'password'}: the password cannot be read" in answer.output

@@ -124,7 +124,11 @@ def _known(name: str, path: Path, accounts: "dict[str, Account]") -> None:
 
 def _password(name: str, file: TextIO | None) -> str:
     if file is not None:
-        return file.readline().rstrip("\n")
+        try:
+            return file.readline().rstrip("\n")
+        except (OSError, UnicodeDecodeError) as error:
+            why = getattr(error, "strerror", None) or "it is no text in UTF-8"
+            refuse(f"{file.name}: the password cannot be read: {why}")
     if not sys.stdin.isatty():
         refuse("standard input is no terminal to ask for a password on; give --password-file -")
     answer = click.prompt(f"password of {name}", hide_input=True, confirmation_prompt=True, err=True)
