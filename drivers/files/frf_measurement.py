@@ -56,7 +56,11 @@ def _csv(path: Path) -> Measurement:
     wanted = ["frequency_hz", f"{quantity}_re", f"{quantity}_im", *(["coherence"] if "coherence" in names else [])]
     places = [names.index(name) for name in wanted]
     rows: list[list[float]] = []
-    for number, fields in enumerate(csv.reader(lines[1:], delimiter=delimiter), start=2):
+    try:
+        found = list(csv.reader(lines[1:], delimiter=delimiter))
+    except csv.Error as error:
+        raise MeasurementFileError(f"{path}: is not CSV ({error})") from error
+    for number, fields in enumerate(found, start=2):
         if not any(field.strip() for field in fields):
             continue
         if len(fields) != len(names):

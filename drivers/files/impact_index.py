@@ -47,7 +47,10 @@ def read_index(folder: Path) -> tuple[IndexedImpact, ...]:
         ) from error
     except UnicodeDecodeError as error:
         raise ImpactIndexError(f"{path}: is not UTF-8 text; save it as CSV in UTF-8") from error
-    rows = list(csv.reader(text.splitlines()))
+    try:
+        rows = list(csv.reader(text.splitlines()))
+    except csv.Error as error:
+        raise ImpactIndexError(f"{path}: is not CSV ({error})") from error
     if not rows or tuple(name.strip() for name in rows[0]) != HEADER:
         raise ImpactIndexError(f"{path}:1: the header must be {','.join(HEADER)}")
     found = [_impact(path, number, row) for number, row in enumerate(rows[1:], start=2) if any(map(str.strip, row))]

@@ -260,7 +260,10 @@ def _header(place: _Place, lines: Iterator[str]) -> tuple[list[str], str]:
     if not line.strip():
         raise place.refuse("has no header row with the names of its columns")
     delimiter = max(DELIMITERS, key=line.count)
-    names = [name.strip() for name in next(csv.reader([line], delimiter=delimiter))]
+    try:
+        names = [name.strip() for name in next(csv.reader([line], delimiter=delimiter))]
+    except csv.Error as error:
+        raise place.refuse(f"is not CSV ({error})") from error
     if len(names) > MAX_FIELDS:
         raise place.refuse(f"has {len(names)} columns; this is not a recording")
     if twice := sorted({name for name in names if name and names.count(name) > 1}):

@@ -137,6 +137,7 @@ def test_times_count_from_the_first_row_in_seconds(tmp_path: Path, unit: str, fi
         (GOOD.encode() + b"30,0,\x00,20,21\n", "day.csv:4: holds a NUL byte"),
         (",".join(f"x{i}" for i in range(5000)) + "\n", "day.csv:1: has 5000 columns"),
         (GOOD + '30,0,"' + "9" * 200_000 + "\n", "is not CSV"),
+        ("x" * 200_000, "day.csv:1: is not CSV"),
     ],
 )
 def test_errors_name_file_line_and_column(tmp_path: Path, content: str | bytes, sentence: str) -> None:

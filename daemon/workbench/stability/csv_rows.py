@@ -18,5 +18,7 @@ def csv_rows(path: Path, what: str) -> Iterator["csv.DictReader[str]"]:
             yield reader
     except OSError as error:
         raise StabilityError(f"{path}: cannot be opened ({error.strerror})") from error
+    except csv.Error as error:
+        raise StabilityError(f"{path}: is not CSV ({error})") from error
     except UnicodeDecodeError as error:
         raise StabilityError(f"{path}: is not UTF-8 text; export the {what} as CSV") from error
