@@ -1,7 +1,6 @@
 """The local socket: answers, refusals, and who asked."""
 
 import asyncio
-import contextlib
 import os
 import stat
 
