@@ -74,23 +74,6 @@ def test_model_report_and_result(simulated: Path, tmp_path: Path) -> None:
     assert "<script src=" not in page and "<link" not in page.partition("<body>")[2]
 
 
-def test_twelve_and_seven_parameters_and_columns_without_labels(few: Path) -> None:
-    rows = np.genfromtxt(few / "temperatures.csv", delimiter=",", names=True)
-    table = np.column_stack([rows["t"] / 60.0, rows["T301"], rows["T56"]])
-    np.savetxt(few / "own.csv", table, "%.5f", ",", header="time_min,nose,housing", comments="")
-    index = (few / "impacts.csv").read_text().splitlines()
-    lines = [index[0]] + [f"{row.rpartition(',')[0]},{float(row.rpartition(',')[2]) / 60.0}" for row in index[1:]]
-    (few / "impacts.csv").write_text("\n".join(lines) + "\n")
-    result = call("campaign", few, "--temperatures", few / "own.csv", "--signals", "nose,housing", "--json", "-")
-    assert result.exit_code == 0, result.stderr
-    found = json.loads(result.stdout)
-    assert found["signals"]["used"] == ["nose", "housing"]
-    series = found["axes"]["x"]["series"]
-    assert {count: len(each[0]["values"]) for count, each in series.items()} == {"5": 5, "7": 7, "12": 12}
-    shares = series["12"][0]["identifiable_share"]
-    assert min(shares.values()) < 0.5, "one response does not determine twelve parameters"
-
-
 def spoil(path: Path, old: str, new: str) -> None:
     text = path.read_text()
     assert old in text
@@ -139,24 +122,3 @@ def fitted(simulated: Path) -> Path:
     )  # fmt: skip
     assert result.exit_code == 0, result.stderr
     return model
-
-
-def test_the_tool_point_over_the_campaigns_own_recording(simulated: Path, fitted: Path, tmp_path: Path) -> None:
-    report = tmp_path / "day.html"
-    result = call(
-        "track", simulated / "temperatures.csv", "--model", fitted, "--spindle", simulated / "spindle.yaml",
-        "--config", shipped_file("cfrpmt.yaml"), "--every-min", 10, "--report", report, "--json", "-",
-    )  # fmt: skip
-    assert result.exit_code == 0, result.stderr
-    found = json.loads(result.stdout)
-    assert found["warnings"] == []
-    assert set(found["axes"]) == {"x", "y"}
-    hz = np.array(found["axes"]["y"]["resonance_hz"])
-    assert len(hz) == len(found["time_min"]) == len(found["inhibit"]) == 46
-    assert "need 10 min" in found["inhibit"][0]
-    assert set(found["inhibit"][2:]) == {""}
-    assert hz[0] + 30.0 < hz.max() < hz[0] + 90.0
-    assert all(found["axes"]["y"]["continuous"])
-    stiffness = found["axes"]["y"]["properties"]["kt_34"]
-    assert np.corrcoef(stiffness["value"], hz)[0, 1] > 0.9
-    assert report.read_text().count("plotly-graph-div") == 5

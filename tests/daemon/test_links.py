@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import history_records as make
 import numpy as np
 import structlog
 from control_rig import HandClock, machine
@@ -14,7 +13,6 @@ from displacement_file import HEADER, append, config, row
 
 from config.schema import Configuration
 from daemon.cnc.session import CncLink
-from daemon.estimation.inputs import MOST_WAITING, ThermalInbox
 from daemon.links import DisplacementLog, Links
 from daemon.registry import PARTS
 from daemon.snapshots import DisplacementSnapshot
@@ -136,16 +134,3 @@ async def test_a_wrong_time_format_is_said_in_log_event_and_status(tmp_path: Pat
     assert "no row has been read since the daemon started: check `displacements`" in said[0]
     assert "16 more since the last report" in said[-1] and f"{path}:21:1:" in said[-1]
     assert told.events == [("displacements", problem) for problem in said]
-
-
-async def test_cycles_that_come_faster_than_they_are_taken_wait_at_their_line() -> None:
-    inbox = ThermalInbox()
-    (cycle,) = [make.cycle("spindle", 1, 0.0, [20.0])]
-    for _ in range(MOST_WAITING):
-        await inbox.put_cycle(cycle)
-    waiting = asyncio.create_task(inbox.put_cycle(cycle))
-    await asyncio.sleep(0)
-    assert not waiting.done() and inbox.qsize() == MOST_WAITING
-    inbox.get_nowait()
-    await asyncio.wait_for(waiting, FOREVER_S)
-    assert inbox.qsize() == MOST_WAITING

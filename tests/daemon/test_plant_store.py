@@ -1,7 +1,6 @@
 """What the plant's store takes from a broker: rows of the topics they come by, and nothing that is none."""
 
 import hashlib
-import itertools
 import json
 import re
 import subprocess
@@ -9,15 +8,11 @@ import threading
 import time
 from pathlib import Path
 
-import paho.mqtt.client as paho
 import pytest
 import yaml
 from click.testing import CliRunner
 from fleet_kills import plant_broker
-from mosquitto import mosquitto, wait_until
-from paho.mqtt.enums import CallbackAPIVersion
-from paho.mqtt.packettypes import PacketTypes
-from paho.mqtt.properties import Properties
+from mosquitto import mosquitto
 from paho.mqtt.publish import single
 from postgresql import PASSWORD, Server, postgresql
 
@@ -205,30 +200,3 @@ def test_a_store_that_cannot_store_says_why_and_its_status_ends_with_1(server: S
         assert done.exit_code == 0, done.output
         (found,) = [each for each in json.loads(done.stdout)["machines"] if each["machine"] == "mill 9"]
         assert 180.0 <= found["late_s"] < 3600.0
-
-
-def test_rows_of_two_computers_under_one_name_are_told(server: Server, tmp_path: Path) -> None:
-    """Where the machines' users may not read, so that the sinks do not notice it themselves."""
-    server.empty()
-    broker, stop, told = plant_broker(tmp_path), threading.Event(), []
-    broker.start()
-    store = threading.Thread(target=PlantStore(section(server, broker.port, tmp_path), stop, told.append).run)
-    store.start()
-
-    def publish(number: int) -> bool:
-        properties = Properties(PacketTypes.PUBLISH)
-        properties.UserProperty = ("store", "ab"[number % 2])
-        client.publish(TOPIC, json.dumps(EVENT | {"monotonic_ms": number}), 1, properties=properties)
-        return any("two computers send as mill/7" in each for each in told)
-
-    client = paho.Client(CallbackAPIVersion.VERSION2, protocol=paho.MQTTv5)
-    client.connect("127.0.0.1", broker.port)
-    client.loop_start()
-    try:
-        numbers = itertools.count()
-        wait_until(lambda: publish(next(numbers)))
-    finally:
-        client.loop_stop()
-        stop.set()
-        store.join()
-        broker.kill()

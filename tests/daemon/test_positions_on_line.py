@@ -13,11 +13,8 @@ from thermal_rig import PERIOD_S, Task, model
 
 from config.schema.cnc import AxisPositionConfig
 from daemon.messages import SpindleSpeed
-from models.recordings.dataset import Recording
 from models.records import CncMode, CncRun, CncSample
-from models.thermal.training.inputs import build_inputs
 from models.thermal.training.making import FIRST_POSITION_ID
-from models.thermal.training.online import follow
 
 AXIS = AxisPositionConfig(axis="Z", travel_mm=(0.0, 500.0), rapid_mm_per_min=600.0)
 UM_PER_MM = 0.02
@@ -299,40 +296,3 @@ def test_a_model_with_positions_takes_over_when_they_are_known_and_not_before(
         assert bench.latest.model_id == "made-up" and bench.latest.confidence == 1.0
 
     played(tmp_path, play, model(model_id="without"))
-
-
-def test_an_evaluation_plays_the_positions_as_the_daemon_takes_them(tmp_path: Path) -> None:
-    """Two minutes at each position, one without any, beyond training and back; the confidence after each of them."""
-    lost = float("nan")
-    places_mm = (250.0, 300.0, 310.0, 321.0, lost, 321.0, 290.0, lost, 300.0, 300.0)
-    minutes = [
-        1.0 if np.isnan(mm) or before_lost else 2.0
-        for mm, before_lost in zip(places_mm, np.isnan([0.0, *places_mm[:-1]]), strict=True)
-    ]
-    the_model, found = with_position(100.0, 300.0, of_increments=False), []
-
-    async def play(bench: Axis) -> None:
-        for mm, count in zip(places_mm, minutes, strict=True):
-            await bench.minutes(count, mm)
-            found.append(bench.latest.confidence)
-
-    played(tmp_path, play, the_model)
-    z_mm = np.repeat([250.0, *places_mm], [1, *map(int, minutes)])
-    names = the_model.sensor_names
-    recording = Recording(
-        name="the same",
-        time_s=60.0 * np.arange(len(z_mm)),
-        speed_rpm=None,
-        temperature_names=names,
-        temperatures_degc=np.column_stack([np.full((len(z_mm), len(names) - 1), 20.0), z_mm]),
-        displacement_names=("Z1",),
-        displacements_um=np.zeros((len(z_mm), 1)),
-        axis_positions=("Z_mm",),
-    )
-    inputs = build_inputs([recording], sample_s=60.0, lags_min=(), speed_lags_min=())
-    followed = follow(the_model, inputs, np.arange(len(z_mm)))
-    ends = np.cumsum(minutes).astype(int)
-    assert followed.confidence[ends] == pytest.approx(found) and {0.0, 0.5, 1.0} <= set(np.round(found, 6))
-    assert followed.position_known is not None and followed.position_known[ends].tolist() == [
-        not (np.isnan(mm) or before) for mm, before in zip(places_mm, np.isnan([0.0, *places_mm[:-1]]), strict=True)
-    ]

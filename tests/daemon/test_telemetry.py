@@ -5,16 +5,12 @@ import pytest
 import structlog
 from prometheus_client import generate_latest
 
-from daemon.telemetry.latency import PUBLISHED_DELAY_S, LineTiming
+from daemon.telemetry.latency import LineTiming
 from daemon.telemetry.metrics import LOG_PERIOD_S, Telemetry
 from models.records import (
-    CompensationCommand,
     Instant,
-    OutputState,
-    Receipt,
     TemperatureCycle,
     Trace,
-    WriteOutcome,
 )
 
 
@@ -106,45 +102,3 @@ def test_the_log_names_the_delays_beside_the_published_ones_once_in_a_while():
     assert lines[0]["published_s"] == {"measurement": 20.0, "feedback": 1.2, "total": 24.7}
     assert "another rig" in lines[0]["note"] and "polling" in lines[0]["note"]
     assert lines[0]["incomplete_cycles"] == 0
-
-
-def test_output_state_axes_and_limits():
-    telemetry = Telemetry()
-    command = CompensationCommand(
-        axes=("y", "z"),
-        requested_um=np.array([1.0, 60.0]),
-        compensation_um=np.array([1.0, 50.0]),
-        enable=(True, True),
-        state=OutputState.ACTIVE,
-        reason="",
-        write=True,
-        limits_hit=("z:bound",),
-    )
-    telemetry.output(command, np.array([0.5, 49.0]))
-    telemetry.write(
-        Receipt(
-            sequence=1,
-            macros=(),
-            outcome=WriteOutcome.VERIFIED,
-            detail="",
-            read_back=(),
-            applied_um=np.zeros(2),
-            trace=TRACE,
-        )
-    )
-    telemetry.links([("cnc", True), ("latsis spindle", False)])
-    text = generate_latest(telemetry.registry).decode()
-    for line in (
-        'toolpoint_output_state{state="ACTIVE"} 1.0',
-        'toolpoint_output_state{state="FAULT"} 0.0',
-        'toolpoint_compensation_micrometres{axis="z",what="requested"} 60.0',
-        'toolpoint_compensation_micrometres{axis="z",what="written"} 50.0',
-        'toolpoint_compensation_micrometres{axis="z",what="applied"} 49.0',
-        'toolpoint_limit_hits_total{axis="z",limit="bound"} 1.0',
-        'toolpoint_writes_total{outcome="verified"} 1.0',
-        'toolpoint_link_up{link="cnc"} 1.0',
-        'toolpoint_link_up{link="latsis spindle"} 0.0',
-    ):
-        assert line in text, line
-    for part, seconds in PUBLISHED_DELAY_S.items():
-        assert f'toolpoint_published_delay_seconds{{part="{part}"}} {seconds}' in text

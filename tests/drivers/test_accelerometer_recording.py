@@ -57,19 +57,3 @@ def test_csv_refusals(tmp_path: Path, change: object, sentence: str) -> None:
     with pytest.raises(AccelerometerFileError) as refused:
         read_acceleration(path)
     assert sentence in str(refused.value)
-
-
-def test_wav_refusals(tmp_path: Path) -> None:
-    loud = np.clip(np.rint(4.0 * SHARES * 2**15), -32768, 32767).astype("<i2").tobytes()
-    with pytest.raises(AccelerometerFileError, match="clipped"):
-        read_acceleration(wav(tmp_path / "a.wav", 1, 16, loud))
-    with pytest.raises(AccelerometerFileError, match="cannot be read; export"):
-        read_acceleration(wav(tmp_path / "a.wav", 1, 8, b"\x80" * 500))
-    (tmp_path / "b.wav").write_bytes(b"nothing")
-    with pytest.raises(AccelerometerFileError, match="is not a WAV file"):
-        read_acceleration(tmp_path / "b.wav")
-    (tmp_path / "c.wav").write_bytes(b"RIFF\0\0\0\0WAVE")
-    with pytest.raises(AccelerometerFileError, match="no format or no data"):
-        read_acceleration(tmp_path / "c.wav")
-    with pytest.raises(AccelerometerFileError, match="not finite"):
-        read_acceleration(wav(tmp_path / "a.wav", 3, 32, np.full(100, np.nan, "<f4").tobytes()))

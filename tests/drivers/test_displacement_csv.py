@@ -1,6 +1,5 @@
 """Displacement files as loggers write them: what a file may look like, and its bad rows."""
 
-import asyncio
 from itertools import pairwise
 from pathlib import Path
 
@@ -96,15 +95,6 @@ async def test_overflow_empty_and_unreadable_fields(path: Path) -> None:
     assert reasons[2] == [Reason.UNREADABLE, Reason.UNREADABLE]
 
 
-async def test_files_without_time_columns(path: Path) -> None:
-    path.write_text("Y1,Z1\n1,2\n\n3,bad\n5,6\n")
-    follower, values = await read_all(
-        config(path, header="Y1", start="2026-01-31T17:00:00", interval_s=30.0, time_zone="Asia/Tokyo"), 3, problems=1
-    )
-    assert values == [[1, 2], [3, None], [5, 6]]
-    assert minutes(follower.samples) == [0, 0.5, 1]
-
-
 async def test_the_hour_that_comes_twice(path: Path) -> None:
     # In Berlin on 2026-10-25 the clock went from 03:00 CEST back to 02:00 CET.
     stamps = ["01:30", "02:00", "02:30", "02:00", "02:30", "03:00"]
@@ -138,22 +128,6 @@ async def test_bad_rows_are_reported_with_their_place_and_skipped(path: Path) ->
 async def test_empty_fields_beyond_the_header_are_none(path: Path) -> None:
     path.write_text(HEADER + row(0).replace("\n", ",,\n"))
     assert (await read_all(config(path), 1))[1] == [[1.5, -2.25]]
-
-
-async def test_overlong_lines_are_skipped_whole_or_in_pieces(path: Path) -> None:
-    append(path, HEADER + row(0) + "x" * 500 + "\n" + row(1))
-    async with Follower(config(path, max_line_bytes=256)) as follower:
-        await follower.until(2, problems=1)
-        assert follower.source.last_problem == (
-            f"{path}:3:1: this line is longer than max_line_bytes (256) and is skipped"
-        )
-        for _ in range(5):
-            append(path, "y" * 100_000)
-            await asyncio.sleep(0.02)
-        append(path, "\n" + row(2))
-        await follower.until(3, problems=2)
-    assert minutes(follower.samples) == [0, 1, 2]
-    assert follower.samples[-1].source == f"{path}:6"
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -12,7 +12,6 @@ from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
 from drivers.sim.machine.packs import PackedMachine, PackScript, PackScriptError, SensorOnPacks, load_pack_script
 from drivers.sim.nc.program import standing_program
-from drivers.sim.wires.latsis_wire import LatsisWires
 
 SCRIPT = PackScript(
     sensor=5, ice_degc=2.0, hot_degc=42.0, lag_s=40.0, change_degc=0.1875, moves_s=(100.0, 400.0), macro=549
@@ -65,28 +64,6 @@ def test_only_the_moved_sensor_differs_and_what_happened_is_told():
     machine.nc.macros.set(548, 1.0)
     assert machine.nc.macros.get(SCRIPT.macro) == 12.5
     assert [event["macro"]["value"] for event in told if "macro" in event] == [12.5]
-
-
-def test_passes_are_told_with_the_time_at_which_registers_are_read(tmp_path):
-    told = []
-    machine, configuration, line = packed(told)
-    machine.began(0.0)
-    reads = []
-    codes = machine.register_codes
-    machine.register_codes = lambda ids: reads.append(machine.time_s) or codes(ids)
-    wires = LatsisWires(machine, configuration.temperatures, tmp_path, first_pass_s=5.0)
-    while machine.time_s < 20.0:
-        start_s = wires.next_start_s
-        machine.advance(min(machine.time_s + 1.0, start_s if start_s > machine.time_s else math.inf))
-        wires.step(machine.time_s, machine.passed)
-    passes = [event["pass"] for event in told]
-    assert passes
-    assert all(event["start_s"] in reads for event in passes), "read at the very start of the pass"
-    assert {event["line"] for event in passes} == {line.name for line in configuration.temperatures.lines}
-    for event in passes:
-        assert 0.0 < event["end_s"] - event["start_s"] < line.cycle_period_s
-        reading = event["degc"]
-        assert reading == pytest.approx(2.0, abs=0.2) if event["line"] == line.name else reading is None
 
 
 @pytest.mark.parametrize(

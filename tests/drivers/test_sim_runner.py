@@ -16,7 +16,6 @@ from drivers.clock import ScaledClock, SystemClock
 from drivers.contract import LinkError
 from drivers.opcua.cnc import OpcUaCnc
 from drivers.sim.faults import Fault, FaultKind
-from drivers.sim.wires.latsis_wire import PHASE_STEP
 from drivers.sim.wires.runner import LARGEST_STEP_S, Ready, run_simulated_machine
 from models.records import Instant
 
@@ -133,26 +132,6 @@ async def test_faces_show_one_machine(tmp_path: Path) -> None:
     assert rows[0] == "Time,X1,Z"
     assert float(rows[2].split(",")[1]) >= 1.0
     await cnc.close()
-    await running.stop()
-
-
-async def test_lines_begin_and_end_on_the_clock_and_the_last_pass_is_told(tmp_path: Path) -> None:
-    clock = HandClock()
-    clock.elapsed_s = -5.0
-    last_begins_s = PHASE_STEP * 10.0 + 50.0
-    running = Running(tmp_path, clock, report_period_s=0.001, first_pass_s=0.0, until_s=last_begins_s + 0.001)
-    await asyncio.wait_for(running.ready, 30)
-    clock.elapsed_s = -0.1
-    quiet = await running.until(lambda report: report["time_s"] >= 4.9)
-    assert quiet["cycles_sent"] == {"spindle": 0, "column": 0}
-    clock.elapsed_s = last_begins_s + 0.01
-    under_way = await running.until(lambda report: report["time_s"] > 5.0 + last_begins_s)
-    assert under_way["cycles_sent"] == {"spindle": 6, "column": 5}
-    assert all("final" not in report for report in running.reports)
-    clock.elapsed_s = 200.0
-    final = await running.until(lambda report: "final" in report)
-    assert final["cycles_sent"] == {"spindle": 6, "column": 6}
-    assert sum("final" in report for report in running.reports) == 1
     await running.stop()
 
 

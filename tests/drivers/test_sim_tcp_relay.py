@@ -66,20 +66,3 @@ async def test_dead_relay_resets_connections_and_refuses_until_it_starts_again(r
     writer.write(b"again")
     assert await reader.readexactly(5) == b"again"
     writer.close()
-
-
-async def test_an_abandoned_connection_stays_silent_for_ever_while_new_ones_are_served(relay: TcpRelay) -> None:
-    old = await connect(relay)
-    old[1].write(b"before")
-    assert await old[0].readexactly(6) == b"before"
-    relay.abandon()
-    relay.freeze()
-    relay.thaw()
-    new = await connect(relay)
-    for _, writer in (old, new):
-        writer.write(b"after")
-    assert await asyncio.wait_for(new[0].readexactly(5), 10) == b"after"
-    with pytest.raises(TimeoutError):
-        await asyncio.wait_for(old[0].read(1), 0.1)
-    for _, writer in (old, new):
-        writer.close()

@@ -4,13 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sloped_machine import PIVOT_MM, TRAVEL_MM, configured, content, sloped
+from sloped_machine import PIVOT_MM, TRAVEL_MM, sloped
 
 from config.schema import Configuration
 from daemon.simulation.simulated_model import CHANNELS, simulated_recording
 from daemon.simulation.simulation import simulated_day
 from drivers.clock import SystemClock
-from drivers.guard.check import block_check
 from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
 from drivers.sim.machine.recording import record
@@ -69,35 +68,3 @@ def test_a_day_without_travel_is_what_it_was_and_one_with_it_tells_the_slope(tmp
     offset_um, per_m = recording.displacements_um[:, -2:].T
     assert np.nanmax(np.abs(offset_um - of_z1)) < 0.25 * np.ptp(of_z1), "in the middle nothing has changed"
     assert np.nanmax(per_m) - np.nanmin(per_m) > 10.0
-
-
-def on_a_fanuc(directory: Path) -> Configuration:
-    given = content(directory)
-    given["cnc"] |= {"opcua": {"endpoint": "opc.tcp://127.0.0.1:1/none", "namespace_uri": "urn:a:b"}}
-    given["cnc"]["guard"] = {"increment_mm": 0.0001}
-    return configured(given)
-
-
-def test_the_guard_of_a_fanuc_puts_the_slope_in_for_where_the_simulated_axis_stands_then(tmp_path: Path) -> None:
-    configuration = on_a_fanuc(tmp_path)
-    machine, outputs = day(configuration), configuration.compensation.outputs
-    pivots_mm = configuration.compensation.pivots_mm
-    held: dict[int, float | None] = {500: 1.0, 502: 0.002, 503: 0.01, 504: 3.0, 505: 1.0}
-    held[120] = machine.nc.clock_s + 100.0
-    held[506] = block_check(configuration.cnc.macros, outputs, held, pivots_mm)
-    for number, value in held.items():
-        machine.nc.macros.set(number, value)
-    while machine.nc.sequence_number != 900 or machine.nc.positions_mm["Z"] == PIVOT_MM:
-        machine.advance(machine.time_s + 1.0)
-        machine.nc.macros.set(120, machine.nc.clock_s + 100.0)
-        held[120] = machine.nc.macros.get(120)
-        machine.nc.macros.set(506, block_check(configuration.cnc.macros, outputs, held, pivots_mm))
-    machine.advance(machine.time_s + 4.0)
-    there_mm = machine.nc.positions_mm["Z"]
-    assert machine.nc.sequence_number == 900 and machine.nc.macros.get(515) == 0.0
-    moved_um = 2.0 + 10.0 * 1e-3 * (there_mm - PIVOT_MM)
-    for _ in range(2):
-        truth = machine.truth()["z"]
-        assert truth.compensated_um - truth.uncompensated_um == pytest.approx(moved_um, abs=0.11)
-        machine.advance(machine.time_s + 30.0)
-    assert machine.nc.positions_mm["Z"] != there_mm, "in the next cut it stands elsewhere, with the same offset"

@@ -62,15 +62,6 @@ def test_no_time_passes_while_a_thread_works() -> None:
     assert clock.monotonic_s >= 1000.0
 
 
-def test_time_waits_while_the_world_is_held() -> None:
-    clock = VirtualClock(epoch_utc_s=0.0)
-    world = EmptyWorld(clock)
-    world.held = 5
-    run(asyncio.sleep(1.0), clock, world)
-    assert world.held == 0
-    assert abs(clock.monotonic_s - 1.0) < 1e-6
-
-
 def test_the_calendar_can_be_set_without_touching_the_monotonic_clock() -> None:
     clock = VirtualClock(epoch_utc_s=100.0, monotonic_s=7.0)
     clock.utc_step_s = -50.0

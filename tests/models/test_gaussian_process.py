@@ -111,24 +111,6 @@ def test_leaving_rows_out_is_fitting_the_others(rows: Rows) -> None:
     np.testing.assert_allclose(one.mean(rows.columns, rows.coordinates), two.mean(rows.columns, rows.coordinates))
 
 
-def test_the_directions_hold_the_covariance_of_the_weights(rows: Rows) -> None:
-    posterior = GaussianProcess(rows).posterior(LOGARITHMS, np.arange(60))
-    directions, remaining = posterior.directions(most=100, least=1e-12)
-    scaled = posterior.columns
-    wanted = np.linalg.inv(np.eye(9) + scaled.T @ np.linalg.solve(posterior.without_linear, scaled))
-    found = np.eye(9) - (directions * (1.0 - remaining)) @ directions.T
-    np.testing.assert_allclose(found, wanted, atol=1e-8)
-    np.testing.assert_allclose(directions.T @ directions, np.eye(directions.shape[1]), atol=1e-8)
-
-
-def test_a_whole_root_is_one_of_the_inverse_and_a_part_of_it_makes_no_deviation_smaller(rows: Rows) -> None:
-    posterior = GaussianProcess(rows).posterior(LOGARITHMS, np.arange(60))
-    whole, part = posterior.root(60), posterior.root(20)
-    np.testing.assert_allclose(whole @ whole.T, posterior.inverse, atol=1e-8)
-    shared = posterior.columns @ posterior.columns.T
-    assert np.all(np.square(shared @ part).sum(axis=1) <= np.square(shared @ whole).sum(axis=1) + 1e-9)
-
-
 def test_what_bends_follows_when_a_sensor_is_left_out(rows: Rows) -> None:
     posterior = GaussianProcess(rows).posterior(LOGARITHMS, np.arange(60))
     directions, remaining = posterior.directions(most=100, least=1e-12)

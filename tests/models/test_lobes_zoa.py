@@ -100,14 +100,6 @@ def test_the_envelope_parts_stable_from_unstable(cut: Cut, speed_rpm: float) -> 
     assert encirclements(cut, speed_rpm, 1.03 * limit_m) > 0
 
 
-def test_lowest_over_feed_directions_is_below_each() -> None:
-    lowest = lowest_over_feed_directions(TWO, down(), from_rpm=4000.0, to_rpm=12000.0, points=100)
-    for feed_deg in (0.0, 45.0, 90.0, 225.0):
-        one = zeroth_order_lobes(TWO, down(), from_rpm=4000.0, to_rpm=12000.0, points=100, feed_deg=feed_deg)
-        assert np.all(lowest.limiting_depth_mm <= one.limiting_depth_mm * (1.0 + 1e-9))
-        assert lowest.minimum.depth_mm <= one.minimum.depth_mm * (1.0 + 1e-9)
-
-
 def test_refusals_say_what_to_do() -> None:
     lines = np.linspace(300.0, 700.0, 500)
     narrow = SampledResponse(frequency_hz=lines, receptance=TWO.receptance_m_per_n(lines))

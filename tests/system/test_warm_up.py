@@ -68,7 +68,7 @@ def test_the_tuner_sees_an_estimate_and_not_the_truth(runs: dict[str, WarmUpRun]
 def test_the_command_prints_shares_and_draws(tmp_path: Path) -> None:
     path, picture = tmp_path / "case.yaml", tmp_path / "warm.png"
     path.write_text(CASE, encoding="utf-8")
-    words = ["stability", "warm-up", "--programmed-rpm", "9200", "--depth-mm", "4.5", "--minutes", "2", "--json", "-"]
+    words = ["stability", "warm-up", "--programmed-rpm", "9200", "--depth-mm", "4.5", "--minutes", "5", "--json", "-"]
     words += ["--dynamics", "case"]
     result = CliRunner().invoke(main, [*words, "--picture", str(picture), str(path)])
     assert result.exit_code == 0, result.stderr
