@@ -8,6 +8,7 @@
 # in use. Nothing of an earlier version is changed, so the way back is --switch. The daemon is
 # neither stopped nor started, and configuration, history and models are left alone.
 set -eu
+umask 022  # the service and the operators are other accounts than who installs
 
 here=$(cd "$(dirname "$0")" && pwd)
 prefix=/opt/toolpoint
@@ -20,6 +21,9 @@ die() { echo "install.sh: $*" >&2; exit 1; }
 usage() { sed -n '2,10s/^# \{0,1\}//p' "$0"; echo "options: --prefix DIR, --python PROGRAM, --program-only (no units, users, folders), --root DIR"; }
 
 while [ $# -gt 0 ]; do
+    case $1 in
+        --prefix|--python|--root|--switch) [ -n "${2-}" ] || die "$1 takes a value" ;;
+    esac
     case $1 in
         --prefix) prefix=$2; shift ;;
         --python) python=$2; shift ;;
@@ -55,7 +59,11 @@ fi
 set -- "$here"/wheels/toolpoint-*.whl
 [ $# = 1 ] && [ -f "$1" ] || die "there must be exactly one wheel of Toolpoint in $here/wheels"
 version=$(basename "$1" | cut -d- -f2)
-[ ! -e "$prefix/$version" ] || die "version $version is installed in $prefix/$version already; nothing was changed"
+if [ -e "$prefix/$version" ]; then
+    "$prefix/$version/bin/toolpoint" --version > /dev/null 2>&1 \
+        || die "$prefix/$version is left from an installation that was broken off; remove it and install again"
+    die "version $version is installed in $prefix/$version already; nothing was changed"
+fi
 "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || die "$python is older than 3.11; name another: --python"
 "$python" -c 'import ensurepip' 2> /dev/null || die "$python has no venv; install it (Debian: python3-venv)"
 
@@ -76,7 +84,6 @@ trap 'rm -rf "$prefix/$version"' EXIT
 "$prefix/$version/bin/python" -m pip install --quiet --disable-pip-version-check --no-index \
     --find-links "$here/wheels" --constraint "$here/constraints.txt" "toolpoint${extras:+[$extras]}==$version"
 "$prefix/$version/bin/toolpoint" --version
-trap - EXIT
 
 if [ "$program_only" = no ]; then
     units="$root/etc/systemd/system"
@@ -101,4 +108,5 @@ if [ "$program_only" = no ]; then
         ln -sfn "$prefix/current/bin/toolpoint" "$command"
     fi
 fi
+trap - EXIT
 make_current "$version"

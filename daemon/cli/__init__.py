@@ -63,6 +63,19 @@ RENAMED_OPTIONS: Mapping[str, str] = {
 }
 """Old name of an option -> the new one; an entry stays for one version."""
 
+NOT_USABLE = (
+    errno.EACCES,
+    errno.EPERM,
+    errno.EROFS,
+    errno.ELOOP,
+    errno.ENAMETOOLONG,
+    errno.ENOTDIR,
+    errno.EISDIR,
+    errno.EIO,
+    errno.ESTALE,
+)
+"""A file that a person named, or one beside it, cannot be used by this account or at all."""
+
 
 @contextmanager
 def _without(package: str) -> Iterator[None]:
@@ -250,6 +263,9 @@ class LazyGroup(click.Group):
             click.echo(str(error), err=True)
             ctx.exit(2)
         except OSError as error:
+            if error.filename is not None and error.errno in NOT_USABLE:
+                click.echo(f"{error.filename!s}: {error.strerror}", err=True)
+                ctx.exit(1)
             if error.errno not in (errno.ENOSPC, errno.EDQUOT):
                 raise
             click.echo(f"{error.filename or 'what was printed'} ends in the middle: {error.strerror}", err=True)

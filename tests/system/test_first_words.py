@@ -96,3 +96,12 @@ def test_a_full_disk_behind_the_output_is_told_in_a_sentence() -> None:
         ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert ended.returncode == 1
     assert ended.stderr == "what was printed ends in the middle: No space left on device\n"
+
+
+def test_a_file_that_cannot_be_used_at_all_is_told_in_a_sentence(tmp_path: Path) -> None:
+    """As is one that this account may not look at: root, who may run these tests, may look at all of them."""
+    path = tmp_path / "toolpoint.yaml"
+    path.write_text(sample_configuration(), encoding="utf-8")
+    name = str(tmp_path / ("x" * 300))
+    found = toolpoint("backup", name, "--config", path)
+    assert found.exit_code == 1 and found.output == f"{name}: File name too long\n"

@@ -59,7 +59,9 @@ def install(made: Path, prefix: Path, *options: str) -> "subprocess.CompletedPro
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PIP_")}
     environment |= {"PIP_CONFIG_FILE": os.devnull, "PIP_INDEX_URL": "https://127.0.0.1:1/", "PIP_RETRIES": "0"}
     command = ["sh", str(made / "install.sh"), "--prefix", str(prefix), "--python", sys.executable, *options]
-    return subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, check=False)
+    return subprocess.run(
+        command, capture_output=True, text=True, env=environment, timeout=300, check=False, umask=0o077
+    )
 
 
 def current(prefix: Path) -> str:
@@ -77,8 +79,15 @@ def test_install_upgrade_and_back(tmp_path: Path) -> None:
     (prefix / "current").symlink_to("0.0.1")
 
     made = bundle(tmp_path, "0.0.2")
+    (root / "usr").mkdir(parents=True)
+    (root / "usr/lib").write_text("in the way", encoding="utf-8")
+    broken_off = install(made, prefix, "--root", str(root))
+    assert broken_off.returncode != 0 and current(prefix) == "0.0.1"
+    (root / "usr/lib").unlink()
     done = install(made, prefix, "--root", str(root))
     assert done.returncode == 0, done.stderr
+    modes = [(prefix / "0.0.2" / name).stat().st_mode for name in ("bin/toolpoint", "lib")]
+    assert all(mode & 0o055 == 0o055 for mode in modes), "for other accounts too, whatever the mask of this one"
     assert (prefix / "0.0.2/bin/added").exists(), "of the extra that the bundle brings along"
     assert current(prefix) == "0.0.2" and "systemctl restart toolpoint" in done.stdout
     placed = {str(path.relative_to(root)) for path in root.rglob("*") if path.is_file()}
@@ -130,6 +139,20 @@ def test_a_damaged_bundle_installs_nothing(tmp_path: Path, damage: object, words
     damage(made)  # type: ignore[operator]
     done = install(made, tmp_path / "opt")
     assert done.returncode == 1 and words in done.stderr
+    assert not (tmp_path / "opt").exists()
+
+
+def test_what_is_left_of_an_installation_that_was_broken_off_is_told(tmp_path: Path) -> None:
+    (tmp_path / "opt/0.0.1/bin").mkdir(parents=True)
+    done = install(bundle(tmp_path, "0.0.1"), tmp_path / "opt", "--program-only")
+    assert done.returncode == 1 and f"{tmp_path}/opt/0.0.1 is left from an installation" in done.stderr
+
+
+@pytest.mark.parametrize("option", ["--prefix", "--switch"])
+def test_an_option_without_a_value_is_refused(tmp_path: Path, option: str) -> None:
+    for value in ([], [""]):
+        done = install(bundle(tmp_path / f"{len(value)}", "0.0.1"), tmp_path / "opt", option, *value)
+        assert done.returncode == 1 and f"{option} takes a value" in done.stderr
     assert not (tmp_path / "opt").exists()
 
 
