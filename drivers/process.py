@@ -18,8 +18,6 @@ from models.json_values import printable
 LAST_WORDS = 5
 """So many lines of what it last wrote to its standard error are told when the program ends."""
 QUOTED = 200
-LINES_PER_TURN = 10
-"""Lines after which other tasks get their turn."""
 END_PATIENCE_S = 2.0
 """The program may take so long to end when it is told to; then it is killed."""
 
@@ -78,9 +76,8 @@ class ProcessSource(PushedSource):
                 self.report(f"source {self.name}: a line is longer than max_line_bytes ({longest}) and is skipped")
                 continue
             number += 1
-            if number % LINES_PER_TURN == 0:
-                await asyncio.sleep(0)
             self._take(line, number)
+            await asyncio.sleep(0)  # other tasks get their turn: lines that are there already do not wait
 
     def _take(self, line: bytes, number: int) -> None:
         try:
