@@ -83,8 +83,7 @@ def test_a_speed_too_slow_for_the_steps_is_refused_and_a_slow_one_is_resolved(ru
     assert math.isclose(*radii, abs_tol=1e-3)
 
 
-@pytest.mark.parametrize(("milling", "kind"), [("up", -1.0), ("down", 1.0)])
-@pytest.mark.parametrize("radial_mm", [1e-3, 0.01, 0.1])
+@pytest.mark.parametrize(("milling", "kind", "radial_mm"), [("up", -1.0, 1e-3), ("down", 1.0, 0.1)])
 def test_a_tiny_immersion_has_its_lobes(run: Any, milling: str, kind: float, radial_mm: float) -> None:
     """The closed form of one degree of freedom, with a_xx integrated here."""
     changes = {"milling": milling, "radial_depth_mm": radial_mm}
