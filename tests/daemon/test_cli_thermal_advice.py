@@ -85,9 +85,8 @@ def test_a_machine_that_was_changed_is_seen_and_the_recent_runs_are_trained_on_r
     assert recent["recordings_left_out"] == [f"run{n:02}.csv" for n in range(1, 6)]
 
 
-@pytest.mark.parametrize("model", ["ridge", "default"])
-def test_too_few_runs_are_told_how_many_more_how_long_and_how(tmp_path: Path, model: str) -> None:
-    found = trained(tmp_path, *[run(tmp_path, number) for number in (1, 2, 3)], model=model)
+def test_too_few_runs_are_told_how_many_more_how_long_and_how(tmp_path: Path) -> None:
+    found = trained(tmp_path, *[run(tmp_path, number) for number in (1, 2, 3)])
     assert "3 whole runs or cycles can be left out" in advice(found)
     assert "record 2 more runs of about 3 h, each from a machine at rest" in advice(found)
 
