@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -213,6 +214,16 @@ def _module_of_admin(command: str) -> ModuleType:
     raise KeyError(command)
 
 
+def _open_standard_streams() -> None:
+    """Open what whoever started this has closed: the next file or connection would take its place.
+
+    A question would then read the CNC's answers for a person's.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115 (it stays open)
+
+
 def _by_new_name(word: str) -> str:
     old, equals, value = word.partition("=")
     if (new := RENAMED_OPTIONS.get(old)) is None:
@@ -251,6 +262,7 @@ class LazyGroup(click.Group):
 
     def main(self, *args: Any, **extra: Any) -> Any:
         """Run the command line; what a terminal's encoding does not have never ends it in the middle."""
+        _open_standard_streams()
         if hasattr(sys.stdout, "reconfigure"):
             sys.stdout.reconfigure(errors="replace" if sys.stdout.isatty() else "backslashreplace")
         return super().main(*args, **extra)

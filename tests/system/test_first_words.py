@@ -1,6 +1,7 @@
 """What somebody meets who has never used the command: the list of commands, a missing file, a fresh sample."""
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -96,6 +97,20 @@ def test_a_full_disk_behind_the_output_is_told_in_a_sentence() -> None:
         ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert ended.returncode == 1
     assert ended.stderr == "what was printed ends in the middle: No space left on device\n"
+
+
+def test_streams_that_are_closed_are_open_to_nothing(tmp_path: Path) -> None:
+    """Else the next file takes their numbers: a question read from the connection to the CNC."""
+    command = [sys.executable, "-m", "daemon.cli", "users", "add", "anna", "--role", "viewer", "--file", tmp_path / "u"]
+    closed = subprocess.run(["sh", "-c", 'exec "$@" <&-', "sh", *command], capture_output=True, text=True, check=False)
+    assert closed.returncode == 2 and closed.stderr.startswith("standard input is no terminal")
+    code = (
+        "import os, pathlib, sys; from daemon.cli import main; main(['--version'], standalone_mode=False); "
+        "pathlib.Path(sys.argv[1]).write_text(' '.join(os.readlink(f'/proc/self/fd/{n}') for n in range(3)))"
+    )
+    command = [sys.executable, "-c", code, tmp_path / "open"]
+    subprocess.run(["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", *command], check=True)
+    assert (tmp_path / "open").read_text() == " ".join([os.devnull] * 3)
 
 
 def test_a_file_that_cannot_be_used_at_all_is_told_in_a_sentence(tmp_path: Path) -> None:
