@@ -34,7 +34,6 @@ from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import LoadedModel, load_released
 from daemon.model_release.side_load import ModelReload
 from daemon.monitor.commands import CommandDesk
-from daemon.monitor.connections import in_url
 from daemon.monitor.control_socket import ControlSocket
 from daemon.monitor.status import StatusBoard
 from daemon.registry import PARTS, Parts
@@ -124,9 +123,9 @@ def _outlets(
     for sink in configuration.sinks or ():
         yield links.own(f"sink {sink.name}", sink.place, partial(watch_sink, sink))
     if (tags := configuration.opcua_server) is not None:
-        yield links.own("opcua_server", in_url(tags.host, tags.port), serve_tags)
+        yield links.own("opcua_server", f"{tags.host}:{tags.port}", serve_tags)
     if (shdr := configuration.shdr) is not None:
-        yield links.own("shdr", in_url(shdr.host, shdr.port), serve_shdr)
+        yield links.own("shdr", f"{shdr.host}:{shdr.port}", serve_shdr)
 
 
 def _collect_what_comes_now() -> None:

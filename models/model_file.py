@@ -222,16 +222,14 @@ def parse(text: str) -> dict[str, Any]:
             raise ModelError(next(key for key in keys if keys.count(key) > 1), "is written twice")
         return found
 
-    def refuse_constant(name: str) -> float:
-        """Refuse NaN and infinities, which JSON does not know."""
-        raise ModelError("", f"{name} is not a number that a model may hold")
-
-    def finite(digits: str) -> float:
-        """Return the number; raises ModelError for one that is too large, such as 1e999."""
-        return number if math.isfinite(number := float(digits)) else refuse_constant(digits[:40])
+    def finite(number: str) -> float:
+        """Return the number; raises ModelError for NaN, for infinities and for one that is too large, such as 1e999."""
+        if math.isfinite(value := float(number)):
+            return value
+        raise ModelError("", f"{number[:40]} is not a number that a model may hold")
 
     try:
-        content = json.loads(text, object_pairs_hook=no_duplicates, parse_constant=refuse_constant, parse_float=finite)
+        content = json.loads(text, object_pairs_hook=no_duplicates, parse_constant=finite, parse_float=finite)
     except json.JSONDecodeError as error:
         sentence = f"line {error.lineno}, column {error.colno}: this is not JSON ({error.msg}); is the file whole?"
         raise ModelError("", sentence) from error

@@ -11,7 +11,6 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -63,19 +62,6 @@ RENAMED_OPTIONS: Mapping[str, str] = {
     "--no-second-look": "--no-verify-with-sdm",
 }
 """Old name of an option -> the new one; an entry stays for one version."""
-
-NOT_USABLE = (
-    errno.EACCES,
-    errno.EPERM,
-    errno.EROFS,
-    errno.ELOOP,
-    errno.ENAMETOOLONG,
-    errno.ENOTDIR,
-    errno.EISDIR,
-    errno.EIO,
-    errno.ESTALE,
-)
-"""A file that a person named, or one beside it, cannot be used by this account or at all."""
 
 
 @contextmanager
@@ -215,13 +201,10 @@ def _module_of_admin(command: str) -> ModuleType:
 
 
 def _open_standard_streams() -> None:
-    """Open what whoever started this has closed: the next file or connection would take its place.
-
-    A question would then read the CNC's answers for a person's.
-    """
+    """Open what whoever started this has closed, or a question would read the connection that takes its number."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
-            setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115 (it stays open)
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))
 
 
 def _by_new_name(word: str) -> str:
@@ -265,7 +248,17 @@ class LazyGroup(click.Group):
         _open_standard_streams()
         if hasattr(sys.stdout, "reconfigure"):
             sys.stdout.reconfigure(errors="replace" if sys.stdout.isatty() else "backslashreplace")
-        return super().main(*args, **extra)
+        try:
+            return super().main(*args, **extra)
+        except OSError as error:
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+                if error.filename is None or error.errno == errno.ENOENT:
+                    raise
+                click.echo(f"{error.filename}: {error.strerror}", err=True)  # this account may not use what was named
+                sys.exit(1)
+            click.echo(f"{error.filename or 'what was printed'} ends in the middle: {error.strerror}", err=True)
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what waits to be written is lost anyway
+            sys.exit(1)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; input that is refused ends it with the sentence that says why."""
@@ -274,15 +267,6 @@ class LazyGroup(click.Group):
         except RefusedInputError as error:
             click.echo(str(error), err=True)
             ctx.exit(2)
-        except OSError as error:
-            if error.filename is not None and error.errno in NOT_USABLE:
-                click.echo(f"{error.filename!s}: {error.strerror}", err=True)
-                ctx.exit(1)
-            if error.errno not in (errno.ENOSPC, errno.EDQUOT):
-                raise
-            click.echo(f"{error.filename or 'what was printed'} ends in the middle: {error.strerror}", err=True)
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what waits to be written is lost anyway
-            ctx.exit(1)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands by their summaries, without importing them."""

@@ -45,17 +45,6 @@ class Conversation:
             self.busy = False
 
 
-def listening(host: str, port: int, waiting: int) -> socket.socket:
-    """Return a socket that listens on an address of IPv4 or IPv6; `waiting` connections wait until they are taken."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    return socket.create_server((host, port), family=family, backlog=waiting)
-
-
-def in_url(host: str, port: int) -> str:
-    """Return address and port as they stand in a URL."""
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-
-
 def most_connections(most: int = MOST_CONNECTIONS, share_of_descriptors: int = SHARE_OF_DESCRIPTORS) -> int:
     """Return how many connections to one socket may be open at a time, by this process's limit of descriptors."""
     descriptors, _ = resource.getrlimit(resource.RLIMIT_NOFILE)

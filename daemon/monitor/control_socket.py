@@ -157,12 +157,11 @@ async def _rest_of_line(reader: asyncio.StreamReader) -> bytes:
     while True:
         try:
             line = await reader.readuntil(b"\n")
+            return too_long or line
         except asyncio.IncompleteReadError as end:
-            line = end.partial
+            return too_long or end.partial
         except asyncio.LimitOverrunError as error:
             too_long = await reader.read(error.consumed)
-            continue
-        return too_long or line
 
 
 def _say_refused(refusal: tuple[str, str], left_out: int) -> None:

@@ -13,7 +13,8 @@ import structlog
 
 from config.schema import Configuration
 from daemon.monitor.arrival import too_old
-from daemon.monitor.connections import BoundedConnections, Conversation, in_url, listening
+from daemon.monitor.connections import BoundedConnections, Conversation
+from daemon.monitor.listening import in_url, listening
 from daemon.snapshots import SnapshotBoard
 from models.quality import Quality
 from models.records import OutputState

@@ -10,7 +10,7 @@ from drivers.clock import Clock
 from drivers.displacement.rows import LoggedNumbers, unit_of_scale
 from drivers.displacement.source import DisplacementCsvSource
 from drivers.pushing import PushedSource
-from drivers.readings import NOT_RECEIVED, NoReading, Readings
+from drivers.readings import NOT_RECEIVED, NoReading
 from models.quality import Reason
 from models.records import DisplacementSample, Instant
 
@@ -64,20 +64,16 @@ class LoggerSource(PushedSource):
             LoggedNumbers(file=config.file, channels=channels, owner=owner, units=units), clock
         )
         self._newest_utc_s = clock.now().utc_s - NEWEST_PERIODS * source.cycle_period_s
-        self._pending: tuple[Readings, Instant] | None = None
         self._untimely = ""
         """How far the latest row's time stamp is from now, where the row is not used for that."""
 
     async def follow(self) -> None:
         """Follow the files; raises LinkError when they cannot be read for long."""
         try:
-            async for row in self._files.samples(self._on_problem, self._on_look):
+            async for row in self._files.samples(self.report):
                 self._on_row(row)
         finally:
             await self._files.close()
-
-    def _on_problem(self, problem: str) -> None:
-        self.report(problem)
 
     def _on_row(self, row: DisplacementSample) -> None:
         readings = {
@@ -87,7 +83,7 @@ class LoggerSource(PushedSource):
         now = self._clock.now()
         if not self._stamped:
             if self._files.caught_up:
-                self._pending = (readings, now)  # of rows that came at once only the last is of now
+                self.put_set(readings)
             return
         ahead_s = row.utc_s - now.utc_s
         if ahead_s > AHEAD_S:
@@ -114,11 +110,6 @@ class LoggerSource(PushedSource):
                 real_s=now.real_s - age_s / self._clock.speed,
             ),
         )
-
-    def _on_look(self) -> None:
-        if self._pending is not None:
-            self.put_row(*self._pending)
-            self._pending = None
 
     def silent(self) -> str:
         """Return what to check when no row comes."""

@@ -153,9 +153,8 @@ class RowReader:
             return None
         if columns.titles is not None and any(fields[columns.titles :]):
             self._report(
-                f"{place}:{columns.titles + 1}: this row has {len(fields)} fields where the header has "
-                f"{columns.titles}, so that nobody knows which is which: correct `delimiter`, which must not be the "
-                "decimal mark too, or the logger's files; the row is skipped"
+                f"{place}:{columns.titles + 1}: this row has {len(fields)} fields, the header {columns.titles}: "
+                "correct `delimiter`, which is no decimal mark, or the logger's files; the row is skipped"
             )
             return None
         stamp = " ".join(fields[index] for index in columns.time)

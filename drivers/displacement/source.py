@@ -140,9 +140,9 @@ class DisplacementCsvSource:
     def _file(self, look: Look) -> _File:
         file = self._files.get(look.path)
         if file is None:
-            newest_utc_s = max((each.last_utc_s for each in self._files.values()), default=-math.inf)
             file = self._files[look.path] = _File()
             if self.caught_up:  # it may be one of the others, which the logger has given another name
+                newest_utc_s = max(each.last_utc_s for each in self._files.values())
                 file.repeated_until_s = min(newest_utc_s, self._clock.now().utc_s)
         if look.restarted:
             file.began_anew |= file.reader is not None and file.reader.data_rows > 0

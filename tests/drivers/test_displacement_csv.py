@@ -121,7 +121,7 @@ async def test_bad_rows_are_reported_with_their_place_and_skipped(path: Path) ->
     path.write_text(HEADER + "2026-01-31T08:00:00,1,5,-2,25\n" + row(1))
     follower, values = await read_all(config(path), 1, problems=1)
     assert follower.source.last_problem is not None
-    assert f"{path}:2:4: this row has 5 fields where the header has 3" in follower.source.last_problem
+    assert f"{path}:2:4: this row has 5 fields, the header 3" in follower.source.last_problem
     assert "`delimiter`" in follower.source.last_problem and values == [[1.5, -2.25]]
 
 

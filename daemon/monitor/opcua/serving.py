@@ -11,7 +11,8 @@ from config.schema import Configuration
 from daemon.history.writer import HistoryWriter
 from daemon.monitor.accounts import Accounts
 from daemon.monitor.commands import CommandDesk
-from daemon.monitor.connections import BoundedConnections, Conversation, in_url, listening
+from daemon.monitor.connections import BoundedConnections, Conversation
+from daemon.monitor.listening import in_url, listening
 from daemon.monitor.opcua.actions import Actions
 from daemon.monitor.opcua.tags import NAMESPACE, Tags
 from daemon.monitor.opcua.users import AccountUsers

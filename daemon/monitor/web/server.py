@@ -13,7 +13,8 @@ from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
-from daemon.monitor.connections import BoundedConnections, Conversation, listening
+from daemon.monitor.connections import BoundedConnections, Conversation
+from daemon.monitor.listening import listening
 from daemon.monitor.web.gate import CLOSE, HEADERS
 from daemon.monitor.web.problems import problem_response
 

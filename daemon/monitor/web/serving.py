@@ -5,7 +5,7 @@ from collections.abc import Callable
 import structlog
 from cryptography import x509
 
-from daemon.monitor.connections import in_url
+from daemon.monitor.listening import in_url
 from daemon.monitor.web.application import MonitorParts, monitor_application
 from daemon.monitor.web.server import Certificate, serve_web
 
