@@ -202,11 +202,9 @@ class RowReader:
         wanted = [] if start_of(self._file_config) else list(self._file_config.time_columns)
         time = tuple(self._find(column, titles, number) for column in wanted)
         channels = tuple(self._find(channel.column, titles, number) for channel in self._channels)
-        count = len(titles)
-        while titles and not titles[-1]:
-            titles = titles[:-1]
-        most = max(*time, *channels, len(titles) - 1)
-        return _Columns(time=time, channels=channels, count=most + 1, titles=count)
+        last = max((index for index, title in enumerate(titles) if title), default=-1)
+        most = max(*time, *channels, last)
+        return _Columns(time=time, channels=channels, count=most + 1, titles=len(titles))
 
     def _find(self, column: str | int, titles: Sequence[str], number: int) -> int:
         if isinstance(column, int):
