@@ -42,7 +42,7 @@ test-all: $(VENV)/.installed-dev
 	$(PYTEST)
 
 # Random histories of faults and of bad input, of each kind TIMES as many as `make test-all` plays; one takes about 0.4 s.
-TIMES ?= 40
+TIMES ?= 60
 histories: $(VENV)/.installed-dev
 	$(PYTEST) --dist load -m slow --histories $(TIMES) \
 	  tests/daemon/test_truth_of_combined_faults.py tests/daemon/test_truth_after_bad_input.py

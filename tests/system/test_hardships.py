@@ -14,9 +14,9 @@ RUN = Path(__file__).parents[1] / "hardships/run.py"
 SEED = "1"
 """A verdict on a change is to be one that can be had again; `make hardships` draws new moments every time."""
 OF_PROCESS = ("descriptors", "half-open", "two daemons", "stopped", "swapped")
-"""Half-sent requests, a line that brings too much and a busy computer have tests of their own."""
-OF_STORE = ("kills", "power cut", "damaged", "disk")
-OF_CALENDAR = ("calendar", "summer")
+OF_STORE = ("power cut, torn", "power cut, unsynced", "damaged", "disk")
+OF_CALENDAR = ("calendar",)
+"""Kills, half-sent requests, a line that brings too much and a busy computer have tests of their own."""
 
 
 @pytest.mark.parametrize(

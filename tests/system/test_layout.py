@@ -1,6 +1,7 @@
 """The house rules that a reader counts on: folders, sizes, docstrings, and what the wheel holds."""
 
 import ast
+import functools
 import json
 import re
 import subprocess
@@ -25,8 +26,14 @@ def sources(*folders: str) -> Iterator[Path]:
         yield from sorted(path for path in (ROOT / folder).rglob("*.py") if "node_modules" not in path.parts)
 
 
+@functools.cache
+def tree(path: Path) -> ast.Module:
+    """Parse a file once for all that is asked of it."""
+    return ast.parse(path.read_text("utf-8"))
+
+
 def functions(path: Path) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    for node in ast.walk(tree(path)):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             yield node
 
@@ -56,7 +63,7 @@ def test_no_function_is_longer_than_a_screen_or_two() -> None:
 
 def classes() -> Iterator[tuple[str, ast.ClassDef]]:
     for path in sources(*PACKAGES):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        for node in ast.walk(tree(path)):
             if isinstance(node, ast.ClassDef):
                 yield f"{path.relative_to(ROOT)}:{node.lineno} {node.name}", node
 
@@ -77,8 +84,7 @@ def test_no_constructor_takes_more_than_a_few_parameters() -> None:
 
 
 def public_definitions(path: Path) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef]:
-    tree = ast.parse(path.read_text("utf-8"))
-    for node in tree.body:
+    for node in tree(path).body:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef) and not node.name.startswith("_"):
             yield node
             if isinstance(node, ast.ClassDef):
@@ -94,7 +100,7 @@ def test_everything_public_in_models_says_what_it_is() -> None:
         for node in public_definitions(path)
         if not ast.get_docstring(node)
     ]
-    modules = [str(path) for path in sources(*PACKAGES) if not ast.get_docstring(ast.parse(path.read_text("utf-8")))]
+    modules = [str(path) for path in sources(*PACKAGES) if not ast.get_docstring(tree(path))]
     assert (silent, modules) == ([], [])
 
 
@@ -102,7 +108,7 @@ def test_models_do_no_input_or_output() -> None:
     forbidden = {"asyncio", "logging", "structlog", "time", "datetime", "socket", "sqlite3", "threading", "os"}
     found = set()
     for path in sources("models"):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        for node in ast.walk(tree(path)):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             found |= {f"{path.relative_to(ROOT)}: {name}" for name in names if name.split(".")[0] in forbidden}
