@@ -10,7 +10,8 @@ from importlib.metadata import PackageNotFoundError, distribution, packages_dist
 from pathlib import Path
 
 from config.loader import ConfigurationError, load_configuration
-from daemon.checkup.machine import Finding, model_finding
+from daemon.checkup.finding import Finding
+from daemon.checkup.machine import model_finding
 
 OUR_PACKAGES = ("models", "drivers", "config", "daemon")
 SAFE_SQLITE = (3, 51, 3)

@@ -2,7 +2,6 @@
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,6 +9,8 @@ from config.records.commissioning import CommissioningError, commissioning_inhib
 from config.schema import Configuration
 from config.schema.source_drivers import SourceEntry
 from config.schema.temperatures import LineConfig, TemperatureInput
+from daemon.checkup.finding import Finding
+from daemon.checkup.served import served
 from daemon.cnc.commissionable import insecure, unchecked, without_text
 from daemon.cnc.macro_block import MacroBlock
 from daemon.cnc.own_offset import offset_macros
@@ -24,30 +25,12 @@ CYCLES_WAITED = 2.5
 """A line must complete a cycle within so many periods."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
-    """One thing that was tried."""
-
-    subject: str
-    passed: bool
-    detail: str
-    pending: bool = False
-    """Not passed because it is not set up yet: the configuration does not name it."""
-
-    @property
-    def failed(self) -> bool:
-        """Something that is there, or should be, is not as it should be."""
-        return not self.passed and not self.pending
-
-    def as_json(self) -> dict[str, str | bool]:
-        """Return what stands in the JSON output."""
-        return {"subject": self.subject, "passed": self.passed, "pending": self.pending, "detail": self.detail}
-
-
 async def preflight(configuration: Configuration, clock: Clock, *, devices: bool) -> AsyncIterator[Finding]:
     """Try everything; nothing is written to the CNC."""
     yield model_finding(configuration)
     yield _record(configuration)
+    for finding in served(configuration):
+        yield finding
     if configuration.spindle_speed is not None:
         yield _spindle_speed(configuration)
     if not devices:

@@ -14,7 +14,7 @@ from config.schema.base import Problem
 from models.json_values import printable
 
 if TYPE_CHECKING:
-    from daemon.checkup.machine import Finding
+    from daemon.checkup.finding import Finding
 
 DEFAULT_CONFIGURATION = Path("/etc/toolpoint/toolpoint.yaml")
 """Where an installed daemon keeps its configuration."""

@@ -15,6 +15,7 @@ from config.files import write_whole
 from models.errors import RefusedInputError
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,63}")
+HASH = re.compile(r"\$argon2id\$v=\d+\$m=\d+,t=\d+,p=\d+\$[A-Za-z0-9+/]{11,}\$[A-Za-z0-9+/]{16,}")
 LEAST_PASSWORD = 10
 MOST_PASSWORD = 256
 MOST_ACCOUNTS = 1000
@@ -96,7 +97,7 @@ def _account(line: str, place: str) -> Account:
         raise AccountsError(f"{place}: {name!r} is no name of an account; it has letters, digits and . _ @ -")
     if role not in set(Role):
         raise AccountsError(f"{place}: {role!r} is no role; there are {', '.join(Role)}")
-    if not password_hash.startswith("$argon2id$"):
+    if not HASH.fullmatch(password_hash):
         raise AccountsError(f"{place}: the password of {name} is not hashed with Argon2id; `toolpoint users password`")
     return Account(name=name, role=Role(role), password_hash=password_hash)
 

@@ -12,6 +12,7 @@ from daemon.cli import main
 from daemon.monitor.accounts import Accounts, AccountsError, Role, read_accounts, verified
 
 PASSWORD = "correct horse battery"
+HASH = f"$argon2id$v=19$m=9216,t=4,p=1${'c2FsdA' * 4}${'aGFzaA' * 7}"
 
 
 def users(*words, password=PASSWORD):
@@ -69,7 +70,8 @@ def test_what_cannot_be_is_refused_with_a_sentence(tmp_path, words, status, sent
         ("anna:boss:$argon2id$v=19$x\n", "'boss' is no role"),
         ("anna:viewer:plain\n", "not hashed with Argon2id"),
         ("a b:viewer:$argon2id$\n", "is no name of an account"),
-        ("anna:viewer:$argon2id$x\nanna:viewer:$argon2id$x\n", "line 2: anna is there twice"),
+        (f"anna:viewer:{HASH[:40]}\n", "not hashed with Argon2id"),
+        (f"anna:viewer:{HASH}\nanna:viewer:{HASH}\n", "line 2: anna is there twice"),
         ("anna\n", "'' is no role"),
     ],
 )

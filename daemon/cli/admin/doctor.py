@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from daemon.checkup.machine import Finding, preflight
+from daemon.checkup.finding import Finding
+from daemon.checkup.machine import preflight
 from daemon.cli.common import (
     DEFAULT_CONFIGURATION,
     config_option,

@@ -1,0 +1,23 @@
+"""What was tried, and what came of it."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One thing that was tried."""
+
+    subject: str
+    passed: bool
+    detail: str
+    pending: bool = False
+    """Not passed because it is not set up yet: the configuration does not name it."""
+
+    @property
+    def failed(self) -> bool:
+        """Something that is there, or should be, is not as it should be."""
+        return not self.passed and not self.pending
+
+    def as_json(self) -> dict[str, str | bool]:
+        """Return what stands in the JSON output."""
+        return {"subject": self.subject, "passed": self.passed, "pending": self.pending, "detail": self.detail}

@@ -1,0 +1,69 @@
+"""`toolpoint check` looks at certificates, keys and accounts before the daemon needs them."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from certificates import make_certificate
+from click.testing import CliRunner
+
+from config.sample import sample_configuration
+from daemon.cli import main
+from drivers.opcua.certificates import create_application_certificate
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Everything as it should be."""
+    make_certificate(tmp_path, days=(-2, 30))
+    (tmp_path / "trusted").mkdir()
+    create_application_certificate(
+        tmp_path / "tags.der", tmp_path / "tags.pem", application_uri="urn:mill", host_name="mill", server=True
+    )
+    words = ["users", "add", "anna", "--role", "viewer", "--password-file", "-", "--file", str(tmp_path / "users")]
+    assert CliRunner().invoke(main, words, input="a long password\n").exit_code == 0
+    return tmp_path
+
+
+def check(folder: Path, **service: Any) -> tuple[int, str]:
+    content = yaml.safe_load(sample_configuration())
+    content["service"] |= {"tls_certificate": "monitor.crt", "tls_key": "monitor.key", "users": "users"} | service
+    content["opcua_server"] = {"certificate": "tags.der", "private_key": "tags.pem", "trusted_clients": "trusted"}
+    path = folder / "toolpoint.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    ended = CliRunner().invoke(main, ["check", "--no-devices", "--config", str(path)])
+    return ended.exit_code, " ".join(ended.output.split())
+
+
+def test_what_can_be_used_is_found_good_and_a_credential_is_the_services_own_affair(folder: Path) -> None:
+    status, output = check(folder)
+    assert status == 0 and "1 may log in" in output and output.count("valid until") == 2
+    status, output = check(folder, tls_key="/run/credentials/toolpoint.service/monitor-key")
+    assert status == 0 and "monitor-key is handed to the service" in output
+
+
+@pytest.mark.parametrize("name", ["monitor.crt", "monitor.key", "users", "tags.der", "tags.pem", "trusted/plc.der"])
+@pytest.mark.parametrize("damage", ["half", "folder"])
+def test_what_is_damaged_is_named(folder: Path, name: str, damage: str) -> None:
+    path = folder / name
+    content = path.read_bytes() if path.exists() else b"no certificate"
+    path.unlink(missing_ok=True)
+    if damage == "folder":
+        path.mkdir()
+    else:
+        path.write_bytes(content[: len(content) // 2])
+        path.chmod(0o640)
+    status, output = check(folder)
+    assert status == 1 and f"{path}" in output and output.count("FAIL") == 1
+
+
+def test_a_certificate_that_has_expired_or_has_another_key_is_named(folder: Path) -> None:
+    make_certificate(folder, days=(-9, -1))
+    status, output = check(folder)
+    assert status == 1 and f"{folder}/monitor.crt is valid from" in output
+    key = (folder / "monitor.key").read_bytes()
+    make_certificate(folder)
+    (folder / "monitor.key").write_bytes(key)
+    status, output = check(folder)
+    assert status == 1 and f"{folder}/monitor.key cannot be read, or is not the key of {folder}/monitor.crt" in output
