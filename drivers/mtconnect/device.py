@@ -46,7 +46,6 @@ ITEMS: dict[str, tuple[tuple[str, str], ...]] = {
     Capability.WORK_OFFSET: (("WORK_OFFSET", ""),),
     Capability.TOOL_NUMBER: (("TOOL_NUMBER", ""), ("TOOL_ID", "")),
     "emergency_stop": (("EMERGENCY_STOP", ""),),
-    "availability": (("AVAILABILITY", ""),),
 }
 """What the daemon knows -> types and subtypes of data items that tell it, the best first; '' is any subtype."""
 READS_ONLY = "an MTConnect agent is read and never written: reach the control by another driver to compensate"
