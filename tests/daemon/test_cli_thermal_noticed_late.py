@@ -35,7 +35,7 @@ def run(folder: Path, seed: int) -> Path:
 def test_the_sensor_that_no_other_tells_is_named_with_what_it_may_make(tmp_path: Path) -> None:
     recordings = [str(run(tmp_path, seed)) for seed in range(4)]
     output = tmp_path / "m.json"
-    arguments = ["thermal", "train", *recordings, "-o", str(output), "--json", "-"]
+    arguments = ["thermal", "train", *recordings, "--model", "lags", "-o", str(output), "--json", "-"]
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 0, result.output
     first = json.loads(result.stdout)["noticed_late"][0]
