@@ -146,7 +146,7 @@ def test_a_model_with_positions_is_trained_and_runs_where_they_are_read(
 def test_a_model_with_positions_watches_its_sensors_and_not_its_axes(files: tuple[Path, Path]) -> None:
     recording, columns = files
     day = read_recording(recording, load_recording_map(columns))
-    model = train_family([day], "default", sample_s=60.0, created="2026-01-01T00:00:00").model
+    model = train_family([day], "lags", sample_s=60.0, created="2026-01-01T00:00:00").model
     again = model_from_json(model.to_json(), "model.json")
     assert again.watch is not None and again.watch.layout.sensors == 2
     found = {}

@@ -47,7 +47,7 @@ def refused_model() -> LinearModel:
         displacement_names=("Y1", "Z1"),
         displacements_um=rng.normal(0.0, 5.0, (minutes, 2)),
     )
-    trained = train_family([recording], "default", sample_s=60.0, created="2026-01-01T00:00:00+00:00").model
+    trained = train_family([recording], "ridge", sample_s=60.0, created="2026-01-01T00:00:00+00:00").model
     assert isinstance(trained, LinearModel) and trained.refused is not None
     return replace(trained, sensor_ids=SENSOR_IDS)
 

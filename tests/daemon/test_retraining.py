@@ -164,7 +164,9 @@ def test_a_recording_that_is_downloaded_is_what_training_reads(
     assert found.displacements_um == pytest.approx(expected.displacements_um)
     assert found.temperatures_degc == pytest.approx(expected.temperatures_degc)
     assert found.speed_rpm == pytest.approx(expected.speed_rpm)
-    trained = CliRunner().invoke(main, ["thermal", "train", str(path), "--output", str(tmp_path / "model.json")])
+    trained = CliRunner().invoke(
+        main, ["thermal", "train", str(path), "--model", "ridge", "--output", str(tmp_path / "model.json")]
+    )
     assert trained.exit_code in (0, 1) and (tmp_path / "model.json").exists(), trained.output
     model = model_from_json((tmp_path / "model.json").read_text("utf-8"), "model.json")
     assert set(model.channels) <= {axis.estimate for axis in configuration.compensation.axes.values()}

@@ -77,7 +77,7 @@ def recording_and_model(folder, names=("T1", "T2"), channels=("Y1", "Z1")):
         rows.append(",".join([str(60 * minute), *(f"{value:.5f}" for value in values)]))
     path.write_text("\n".join(rows) + "\n", encoding="utf-8")
     model = folder / "model.json"
-    trained = CliRunner().invoke(main, ["thermal", "train", str(path), "-o", str(model)])
+    trained = CliRunner().invoke(main, ["thermal", "train", str(path), "--model", "ridge", "-o", str(model)])
     assert trained.exit_code == 0, trained.stderr
     return path, model
 
