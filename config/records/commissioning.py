@@ -143,10 +143,12 @@ def commissioning_inhibit(
     axes: Sequence[str],
     guard_version: float | None = None,
     slopes: Mapping[str, SlopeConfig] | None = None,
+    machine: str = "",
 ) -> str:
     """Return why these axes may not be compensated, '' when the record covers them.
 
-    `guard_version` is what the guard echoes; None where it is not known.
+    `guard_version` is what the guard echoes; None where it is not known. `machine`: name of this one in its
+    configuration; controls of one type may call themselves alike.
     """
     if record is None:
         return f"this machine has no commissioning record, so sign and scale have not been proved: {ADVICE}"
@@ -154,6 +156,11 @@ def commissioning_inhibit(
         return (
             f"the commissioning record is for {record.cnc_identity!r}, this control is {cnc_identity!r}: "
             f"{ADVICE} on this control, or name its own record (compensation.commissioning_file)"
+        )
+    if machine and record.machine not in ("", machine):
+        return (
+            f"the commissioning record is of machine {record.machine!r}, this one is {machine!r} (machine): {ADVICE} "
+            "on this machine, or give it its name back"
         )
     if record.macro_map_sha256 != macro_map_digest(macros):
         return (

@@ -89,6 +89,7 @@ def _record(configuration: Configuration) -> Finding:
         macros=configuration.cnc.macros,
         axes=axes,
         slopes=configuration.compensation.slopes,
+        machine=configuration.machine,
     )
     detail = inhibit or f"{record.cnc_identity} by {record.person} on {record.date}"
     return Finding(subject="commissioning", passed=not inhibit, detail=detail)
@@ -161,4 +162,11 @@ def _other_control(configuration: Configuration, identity: str, guard_version: f
     if record is None:
         return ""
     macros = configuration.cnc.macros
-    return commissioning_inhibit(record, cnc_identity=identity, macros=macros, axes=(), guard_version=guard_version)
+    return commissioning_inhibit(
+        record,
+        cnc_identity=identity,
+        macros=macros,
+        axes=(),
+        guard_version=guard_version,
+        machine=configuration.machine,
+    )

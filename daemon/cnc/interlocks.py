@@ -98,6 +98,7 @@ class Interlocks:
             axes=sorted(axes),
             guard_version=guard_version,
             slopes=self._configuration.compensation.slopes,
+            machine=self._configuration.machine,
         )
 
     def request_inhibit(

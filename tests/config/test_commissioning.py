@@ -56,6 +56,12 @@ def inhibit(of: CommissioningRecord | None, **changes) -> str:
     return commissioning_inhibit(of, **(content | changes))
 
 
+def test_the_record_of_a_sister_whose_control_calls_itself_alike_permits_nothing():
+    """An OPC UA server's application URI is that of the type, and records travel with copied configurations."""
+    assert inhibit(record(machine="mill 1"), machine="mill 1") == inhibit(record(), machine="mill 1") == ""
+    assert "of machine 'mill 1', this one is 'mill 2'" in inhibit(record(machine="mill 1"), machine="mill 2")
+
+
 def test_a_record_survives_the_way_over_the_disk(tmp_path):
     path = tmp_path / "record.json"
     path.write_text("an old one", encoding="utf-8")

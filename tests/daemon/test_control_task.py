@@ -111,6 +111,7 @@ async def test_the_record_of_another_control_or_macro_map_does_not_count(bench):
     for changes, words in (
         ({"cnc_identity": "urn:other"}, "is for 'urn:other'"),
         ({"macro_map_sha256": "0" * 64}, "macro map has changed"),
+        ({"machine": "another"}, "is of machine 'another', this one is 'rig'"),
         ({"axes": {}}, "not commissioned: axis z"),
     ):
         async with running(bench.rig(record=record_for(bench.configuration, **changes))) as rig:

@@ -322,6 +322,7 @@ def _check(configuration: "Configuration", record_file: Path | None, report_path
         macros=configuration.cnc.macros,
         axes=wanted,
         slopes=configuration.compensation.slopes,
+        machine=configuration.machine,
     )
     if inhibit:
         say(f"It does not permit what the configuration wants: {inhibit}")
