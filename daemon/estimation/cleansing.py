@@ -159,20 +159,23 @@ class Cleansing:
         unsure = at_doubted | (now_s - self._jumped_at_s <= self.window_s)
         return np.where(absent & unsure & np.isnan(reference.degc), np.nan, self.mean_degc())
 
-    def withheld(self, degc: FloatArray, confidence: float) -> str:
-        """Return why what is left without doubted sensors is not followed, '' when it counts whole.
+    def withheld(self, degc: FloatArray, share: float, wrong: Collection[int]) -> str:
+        """Return why what is left without sensors that nobody believes is not followed, '' when it counts whole.
 
-        `degc`: what `counted_degc` gave. `confidence`: of the estimate from it.
+        `degc`: what `counted_degc` gave. `share`: what is left of the confidence in the estimate from it. `wrong`: IDs
+        of sensors that the model found wrong: right again or not, they do not count until the work is positioned, and
+        the estimate would count by halves until then.
         """
         if self.latest is not None and (why := self.stands(self.latest.trace.first_byte.monotonic_s)):
             return why
-        if confidence >= self._full:
+        if share >= self._full:
             return ""
-        out = np.flatnonzero(np.isnan(degc) & np.isfinite(self.mean_degc()) & (self.levels.uncertainty_k != 0.0))
+        doubtful = np.isnan(degc) & np.isfinite(self.mean_degc()) & (self.levels.uncertainty_k != 0.0)
+        out = np.flatnonzero(doubtful | np.isin(self._sensor_ids, [*wrong]))
+        named = ", ".join(f"sensor {self._sensor_ids[i]}" for i in out[:NAMED])
         if not len(out):
             return ""
-        named = ", ".join(f"sensor {self._sensor_ids[i]}" for i in out[:NAMED])
-        return f"{named} came back at a level that is doubted, and too much rests on it: position the work again"
+        return f"too much rests on {named}, found wrong or back at a level that is doubted: position the work again"
 
     def stands(self, now_s: float) -> str:
         """Return which line or source seems to answer from memory or in another unit, '' when none does."""

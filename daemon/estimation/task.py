@@ -278,7 +278,8 @@ class ThermalTask:
             self._reference = counted
             self._deliver(ReferenceRebased(reference=counted))
         reference, model, um_per_k = counted, online.model, self._tool_um_per_k
-        unsure = self._cleansing.withheld(degc, outcome.confidence) or self._since.wrong_in_tool(degc, um_per_k)
+        unsure = self._cleansing.withheld(degc, outcome.share, online.excluded)
+        unsure = unsure or self._since.wrong_in_tool(degc, um_per_k)
         unsure = unsure or _unsure(outcome, online, self._cleansing.levels.uncertainty_k, um_per_k, self._sensor_ids)
         of_positions, untrusted = self._positions.trust(model, clock_s, outcome.imputed)
         unsure, confidence = unsure or untrusted, outcome.confidence * of_positions

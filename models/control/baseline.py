@@ -328,20 +328,9 @@ def _bias_filter(wander: Wander | None, limits: OutputLimits) -> BiasFilter:
 
 
 def weight_of(confidence: float, limits: OutputLimits) -> float:
-    """Return the share of the estimate that a confidence is worth.
+    """Return the share of the estimate that a confidence (0..1) is worth.
 
-    Parameters
-    ----------
-    confidence
-        0..1 [-].
-    limits
-        0 at `min_confidence`, 1 from `full_confidence` on, linear between.
-
-    Returns
-    -------
-    float
-        0..1 [-].
-
+    It is 0 at the limits' `min_confidence`, 1 from `full_confidence` on, linear between.
     """
     if confidence >= limits.full_confidence:
         return 1.0
@@ -350,19 +339,7 @@ def weight_of(confidence: float, limits: OutputLimits) -> float:
 
 
 def follow_confidence(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> OutputMemory:
-    """Renew the weight of the estimate between cuts; within a cut it stays.
-
-    Parameters
-    ----------
-    memory, inputs, limits
-        As for `models.control.compensation.step`.
-
-    Returns
-    -------
-    OutputMemory
-        With the weight of the confidence now, except while the output follows or holds in a cut.
-
-    """
+    """Renew the weight of the estimate between cuts; while the output follows or holds in a cut it stays."""
     cutting = inputs.phase is Phase.CUTTING and memory.state in (OutputState.ACTIVE, OutputState.HOLD)
     if cutting or inputs.confidence < limits.min_confidence:
         return memory

@@ -42,6 +42,8 @@ class Estimation:
     band_factor: FloatArray | float = 1.0
     """By how much the model's band is widened here, beyond the domain of training or while the past is not known, of
     each channel or of all; at least 1."""
+    share: float = 1.0
+    """What is left of confidence for the sensors that do not count, 0..1."""
     imputed_um: float = 0.0
     """By how much what is imputed, now or when a sensor was set anew, may be off, of the worst channel [um]."""
     found_wrong_um: float = 0.0

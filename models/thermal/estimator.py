@@ -248,11 +248,13 @@ class LinearEstimator:
         near = far_confidence(distance, unknown_share)
         near *= fast_confidence(state.speed_rpm, self.model.domain.highest_speed_rpm)
         known, past_factor = self._past.since(state, reference)
+        share = self.left_out.share(excluded)
         band_um = self.model.band_um
         relative = np.divide(imputed_um, band_um, out=np.zeros_like(imputed_um), where=band_um > 0.0)
         return Estimation(
             thermal_error_um=change @ self.left_out.coefficients(excluded) + elapsed_min * self.model.drift_um_per_min,
-            confidence=known * near * self.left_out.share(excluded),
+            confidence=known * near * share,
+            share=share,
             in_domain=not outside.any() and near > 0.0,
             imputed=self._ids(np.flatnonzero(~counted)),
             outside=self._ids(np.flatnonzero(outside)),

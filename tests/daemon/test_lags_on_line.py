@@ -321,6 +321,27 @@ async def test_a_watch_alone_goes_on_from_the_history_after_a_restart(tmp_path, 
     await shop.end()
 
 
+async def test_where_too_much_rests_on_sensors_that_were_found_wrong_the_output_holds_until_a_new_reference(
+    tmp_path, model
+):
+    """They may be right again: half of the estimate was followed until then, 9 um beside the truth."""
+    shop = Shop(tmp_path, model)
+    await shop.prepare()
+    await shop.run(16.3 * 60)
+    await shop.refer()
+    await shop.run(10)
+    for sensor in (1, 4):
+        row = int(shop.minute)
+        shop.degc[row + 1 :, sensor] += np.minimum(np.arange(len(shop.degc) - row - 1) * 0.3, 6.0)
+        await shop.run(30)
+    assert shop.latest.imputed == (2, 12) and shop.latest.confidence == 0.0
+    assert "too much rests on sensor 2, sensor 12, found wrong" in shop.latest.inhibit
+
+    await shop.refer()
+    assert shop.latest.confidence > 0.9 and shop.latest.inhibit == ""
+    await shop.end()
+
+
 async def test_a_sensor_that_returns_counts_again_without_a_step_over_a_restart_too(tmp_path, model):
     shop = Shop(tmp_path, model)
     await shop.prepare()
