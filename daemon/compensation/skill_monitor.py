@@ -21,6 +21,8 @@ MARGIN = 1.25
 """The estimate does harm when it leaves so many times the error that there would be without it."""
 MOST_PAIRS = 60
 """So many latest measurements count."""
+ONE_TIME_S, CYCLES = 180.0, 2.0
+"""A row belongs to the estimate so many seconds, or cycles of the temperatures, before and after it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,6 +99,8 @@ class SkillWatch:
         of_axis = {s.axis: places.get(s.axis, places.get(s.channel)) for s in sources if s.channel}
         self._column = {axis: place for axis, place in of_axis.items() if place is not None}
         self._least_error_um = configuration.compensation.output.harm_above_um
+        self._say, self._told = say, False
+        self._one_time_s = max(ONE_TIME_S, CYCLES * configuration.temperatures.shortest_period_s)
         self._counted: tuple[str | None, str | None] = (None, None)
         self._records: dict[str, SkillRecord] = {}
         self._inhibit: Inhibit | None = None
@@ -126,6 +130,14 @@ class SkillWatch:
     ) -> None:
         """Take one row; a channel's first value since the reference is where it counts from."""
         if estimate is None or estimate.reference_id is None or not self._column:
+            return
+        if abs(apart_s := sample.utc_s - estimate.trace.last_byte.utc_s) > self._one_time_s:
+            if not self._told:
+                self._say(
+                    f"displacements {apart_s:.0f} s apart from the estimate are not judged: where the logger writes "
+                    "now, correct its time zone or one of the clocks"
+                )
+            self._told = True
             return
         self.count_from(estimate.reference_id, estimate.model_id)
         estimated_um = nose_errors_um(self._sources, estimate)

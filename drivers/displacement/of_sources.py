@@ -11,10 +11,6 @@ from models.quality import Reason
 from models.records import OF_SOURCE, DisplacementSample
 
 
-def _ignore(*_: object) -> None:
-    """Report nothing."""
-
-
 class SourceDisplacements:
     """The channels of one source (`drivers.contract.DisplacementSource`), to be used once."""
 
@@ -23,7 +19,7 @@ class SourceDisplacements:
         self._source = source
 
     async def samples(
-        self, on_problem: Callable[[str], None] = _ignore, on_reached: Callable[[], None] = _ignore
+        self, on_problem: Callable[[str], None] = lambda _: None, on_reached: Callable[[], None] = lambda: None
     ) -> AsyncGenerator[DisplacementSample]:
         """Open the source and yield each row, at the time at which it was measured; raises LinkError."""
         async with aclosing(self._source.rows()) as rows:
@@ -53,7 +49,7 @@ class AmongOthers:
         self._count = count
 
     async def samples(
-        self, on_problem: Callable[[str], None] = _ignore, on_reached: Callable[[], None] = _ignore
+        self, on_problem: Callable[[str], None] = lambda _: None, on_reached: Callable[[], None] = lambda: None
     ) -> AsyncGenerator[DisplacementSample]:
         """Follow the source and yield each row once; raises LinkError."""
         samples = self._source.samples(on_problem, on_reached)

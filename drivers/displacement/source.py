@@ -1,12 +1,11 @@
 """Follows the files of a logger as they grow."""
 
 import asyncio
-import contextlib
+import concurrent.futures
 import math
 import threading
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -24,10 +23,6 @@ ROWS_PER_TURN = 50
 """Rows after which other tasks get their turn, about a millisecond."""
 
 Answer = TypeVar("Answer")
-
-
-def _ignore(*_: object) -> None:
-    """Report nothing."""
 
 
 class _File:
@@ -80,11 +75,11 @@ class DisplacementCsvSource:
         self._unreachable = 0
         self._threaded = in_thread
         self._closed = asyncio.Event()
-        self._on_problem: Callable[[str], None] = _ignore
-        self._on_reached: Callable[[], None] = _ignore
+        self._on_problem: Callable[[str], None] = lambda _: None
+        self._on_reached: Callable[[], None] = lambda: None
 
     async def samples(
-        self, on_problem: Callable[[str], None] = _ignore, on_reached: Callable[[], None] = _ignore
+        self, on_problem: Callable[[str], None] = lambda _: None, on_reached: Callable[[], None] = lambda: None
     ) -> AsyncIterator[DisplacementSample]:
         """Follow the file and yield each new row once, in file order; raises LinkError."""
         self._on_problem, self._on_reached = on_problem, on_reached
@@ -204,29 +199,18 @@ class DisplacementCsvSource:
 
     async def _in_thread(self, function: Callable[[], Answer]) -> Answer:
         """Run blocking I/O in a thread of its own that does not keep the program from ending."""
-        loop = asyncio.get_running_loop()
-        answer: asyncio.Future[Answer] = loop.create_future()
+        found = concurrent.futures.Future[Answer]()
 
         def work() -> None:
+            found.set_running_or_notify_cancel()  # who gives it up waits no longer, and the thread ends by itself
             try:
-                settle = partial(_settle, answer, function())
+                found.set_result(function())
             except Exception as error:
-                settle = partial(_fail, answer, error)  # raised again where the answer is awaited
-            with contextlib.suppress(RuntimeError):  # the loop has been closed meanwhile
-                loop.call_soon_threadsafe(settle)
+                found.set_exception(error)  # raised again where the answer is awaited
 
         threading.Thread(target=work, name="displacement-files", daemon=True).start()
+        answer = asyncio.wrap_future(found)
         done, _ = await asyncio.wait({answer}, timeout=PATIENCE_REAL_S)
         if not done:
             self._report(f"{self._owner} {self._config.file.path}: no answer for {PATIENCE_REAL_S:g} s")
         return await answer
-
-
-def _settle(answer: asyncio.Future[Answer], result: Answer) -> None:
-    if not answer.done():
-        answer.set_result(result)
-
-
-def _fail(answer: asyncio.Future[Answer], error: Exception) -> None:
-    if not answer.done():
-        answer.set_exception(error)

@@ -68,7 +68,8 @@ class Day:
         sample = DisplacementSample(
             utc_s=self.at_s - 0.5, um=np.array([um]), reason=np.zeros(1, dtype=np.uint8), source="test:1"
         )
-        self.watch.displacement(sample, estimate(*said), np.array(applied))
+        now = replace(estimate(*said), trace=make.trace(self.at_s))
+        self.watch.displacement(sample, now, np.array(applied))
 
     def grow(
         self,

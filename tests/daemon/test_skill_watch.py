@@ -12,6 +12,7 @@ from daemon.compensation.skill_monitor import (
     does_harm,
     with_measurement,
 )
+from daemon.history.reader import HistoryReader
 from models.records import DisplacementSample
 
 CHANNELS = ("Z1", "other")
@@ -56,10 +57,10 @@ async def rig(tmp_path):
         yield rig
 
 
-def row(rig, z_um):
+def row(rig, z_um, ago_s=0.0):
     """A reading of a sensor that sees the tool point: the true error and what the NC applies."""
     um = np.array([z_um + rig.applied["z"], np.nan])
-    utc_s = rig.clock.now().utc_s
+    utc_s = rig.clock.now().utc_s - ago_s
     return DisplacementSample(utc_s=utc_s, um=um, reason=np.zeros(2, dtype=np.uint8), source="test:1")
 
 
@@ -82,6 +83,21 @@ async def test_an_estimate_that_helps_is_followed_although_the_sensors_see_the_c
     await follow_true_error(rig, -12.0, -11.0, 80)
     assert rig.state == "ACTIVE"
     assert rig.applied["z"] == pytest.approx(11.0, abs=0.11)
+
+
+@pytest.mark.parametrize("ago_s", [7200.0, -7200.0])
+async def test_rows_of_another_time_say_nothing_of_the_present(rig, ago_s):
+    """Of a share that was away for hours, or of a logger whose clock is wrong: they were compared with the present."""
+    await rig.active()
+    for k in range(60):
+        await rig.turn(rig.estimate(0.0, -12.0 * min(k / 20.0, 1.0)))
+        rig.control.deliver(row(rig, 12.0 * min(k / 20.0, 1.0), ago_s))
+    await rig.follow(0.0, -12.0, 3)
+    assert rig.state == "ACTIVE" and not rig.control.skill._records
+    await rig.history.flushed()
+    with HistoryReader(rig.configuration.history.path) as reader:
+        told = [event.text for event in reader.events(0.0, 1e11) if "apart from the estimate" in event.text]
+    assert len(told) == 1 and f"displacements {-ago_s:.0f} s" in told[0]
 
 
 async def test_a_new_reference_begins_anew(rig):
