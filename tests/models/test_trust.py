@@ -9,12 +9,13 @@ from models.records import FloatArray
 from models.thermal.features import lag_table
 from models.thermal.solution import band_factor, leverage_and_size
 from models.thermal.training.domain import farthest_leverage, leverage_positions
-from models.thermal.training.families import DEFAULT_DESIGNS, MeanOfRidges
+from models.thermal.training.families import DEFAULT_DESIGNS, MeanOfRidges, held_out_um
 from models.thermal.training.folds import cycles, few_folds_factor, inner_folds
 from models.thermal.training.inputs import build_inputs
 from models.thermal.training.probing import probed_residual_um
 from models.thermal.training.trust import (
     fit_bias_filter,
+    half_width_um,
     judge,
     recent_skill,
 )
@@ -125,7 +126,38 @@ def test_one_warm_up_alone_is_refused() -> None:
     assert "record 2 more runs of about 4 h, each warming for half of the time and then cooling" in refused
 
 
-def test_few_folds_widen_the_band() -> None:
+@pytest.mark.parametrize("runs", [2, 10])
+def test_the_band_of_so_many_runs_holds_on_a_further_run(runs: int) -> None:
+    """What is left differs from run to run and hardly within one, so that the number of rows says nothing."""
+    rng = np.random.default_rng(runs)
+    inside = []
+    for _ in range(4000):
+        offsets_um = rng.normal(0.0, 3.0, runs + 1)
+        half_um = half_width_um([np.full((50, 1), each) for each in offsets_um[1:]], runs)
+        inside.append(abs(offsets_um[0]) <= half_um[0])
+    assert 0.82 < np.mean(inside) < 0.95
+
+
+def test_the_band_of_two_runs_tells_how_they_differ_and_not_how_their_cycles_do() -> None:
+    rng = np.random.default_rng(3)
+    first = warming()
+    slow_um = first.displacements_um[:, 0]
+
+    def another(share: float) -> Recording:
+        """Return another day, on which the same temperatures make so much of the error."""
+        degc = first.temperatures_degc + rng.normal(0.0, 0.02, first.temperatures_degc.shape)
+        return recording(share * slow_um, degc, first.speed_rpm)
+
+    inputs = build_inputs([first, another(0.7), another(1.1)], sample_s=60.0)
+    rows = inputs.trainable() & (inputs.recording < 2)
+    fold, kind = inner_folds(inputs, rows)
+    assert kind == "cycle"
+    problem = MeanOfRidges(inputs, rows, fold, None, DEFAULT_DESIGNS)
+    measured, estimated = held_out_um(inputs, inputs.recording == 2, problem.fit())
+    assert (np.abs(measured[0] - estimated[0]) <= judge(inputs, rows, fold, problem).band_um).mean() > 0.85
+
+
+def test_few_folds_widen_limits() -> None:
     factors = [few_folds_factor(folds) for folds in range(2, 12)]
     assert factors == sorted(factors, reverse=True) and factors[-1] == 1.0
 

@@ -38,9 +38,9 @@ def advice(inputs: Inputs, rows: BoolArray, independent: int) -> tuple[str, ...]
         hours = max(2.0, np.ceil(longest_min / 60.0)) if len(spans_min) > 1 else 4.0
         found.append(
             f"{independent or 'no'} whole {'runs or cycles' if independent > 1 else 'run or cycle'} can be left out, "
-            f"which tells families and sensors apart badly: record {more_runs(ENOUGH - independent)} of about "
-            f"{hours:.0f} h, {'each ' * (ENOUGH - independent > 1)}from a machine at rest, half of the time warming at "
-            "another speed than before and half standing still"
+            "which tells families and sensors apart badly and makes a wide band: record "
+            f"{more_runs(ENOUGH - independent)} of about {hours:.0f} h, {'each ' * (ENOUGH - independent > 1)}"
+            "from a machine at rest, half of the time warming at another speed than before and half standing still"
         )
     if longest_min < SHORT_RUN_MIN:
         found.append(

@@ -31,8 +31,8 @@ from models.thermal.training.left_out_errors import (
     LeftOutErrors,
     advantage,
     left_out_errors,
-    left_out_runs,
     mean_errors,
+    of_two_runs,
     only,
     relative,
     rmse_um,
@@ -63,8 +63,6 @@ FEWEST_TO_MIX = 3
 BETTER_IN_BOTH = 0.8
 """Of two runs one family must leave less than this share of what another leaves, in each of them when only the other
 was trained on."""
-ALIKE_IN_LENGTH = 3.0
-"""One run that has more than so many times the rows of the other is rather one run than two."""
 ON_TEMPERATURES: dict[str, Prepare] = {
     "ridge": ridge_family,
     "pls": PartialLeastSquaresProblem,
@@ -245,16 +243,16 @@ class ChosenProblem:
 
         Cycles and blocks of a run are alike in what differs between two: scored by them, what fits a run best wins.
         """
-        runs, rows = np.unique(self._inputs.run[self._rows], return_counts=True)
-        if len(runs) != 2 or rows.max() > ALIKE_IN_LENGTH * rows.min() or other.errors is None:
+        if other.errors is None:
             return None
         found = []
         for one in (plain, other):
             inputs = part_of(self._inputs, one.layout.lags_min, one.layout.speed_lags_min)
-            errors = left_out_runs(inputs, self._rows, self._fold, one.fit, self._probe_min)
-            if errors is None:
+            fits = of_two_runs(inputs, self._rows, self._fold, one.fit)
+            if fits is None:
                 return None
-            found.append(np.array([relative(only(errors, int(run))) for run in runs]))
+            errors = left_out_errors(inputs, self._rows, inputs.run, fits, self._probe_min)
+            found.append(np.array([relative(only(errors, run)) for run in fits]))
         of_plain, of_other = found
         left = "of the two runs, each left out whole, {} leaves {:.1%} and {:.1%}, {} {:.1%} and {:.1%}"
         said = left.format(other.family, *of_other, plain.family, *of_plain)

@@ -11,6 +11,9 @@ from models.thermal.training.families import Fit, fold_numbers, held_out_um
 from models.thermal.training.inputs import Inputs
 from models.thermal.training.probing import probed_residual_um
 
+ALIKE_IN_LENGTH = 3.0
+"""One run that has more than so many times the rows of the other is rather one run than two."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LeftOutErrors:
@@ -75,23 +78,22 @@ def left_out_errors(
     )
 
 
-def left_out_runs(
-    inputs: Inputs, rows: BoolArray, fold: IntArray, fit: Callable[[frozenset[int]], Fit], probe_min: float | None
-) -> LeftOutErrors | None:
-    """Return what a family leaves of each whole run, fitted without the folds that hold any of it.
+def of_two_runs(
+    inputs: Inputs, rows: BoolArray, fold: IntArray, fit: Callable[[frozenset[int]], Fit]
+) -> dict[int, Fit] | None:
+    """Return the fit without each of exactly two runs, by the number of the run; None where there are no such.
 
-    Result: with the indices of the runs as folds; None where no fold is without a run.
+    Cycles and blocks of a run are alike in what differs between two days, and say too little of another one.
 
-    `inputs`, `rows`, `fold`, `probe_min`: see `left_out_errors`. `fit`: the fit without some folds.
+    `inputs`, `rows`, `fold`: see `left_out_errors`. `fit`: the fit without some folds.
     """
-    everything = set(fold_numbers(rows, fold))
-    fits = {}
-    for run in np.unique(inputs.run[rows]):
-        held = everything & set(fold[rows & (inputs.run == run)].tolist())
-        if held == everything:
-            return None
-        fits[int(run)] = fit(frozenset(held))
-    return left_out_errors(inputs, rows, inputs.run, fits, probe_min)
+    runs, count = np.unique(inputs.run[rows], return_counts=True)
+    if len(runs) != 2 or count.max() > ALIKE_IN_LENGTH * count.min():
+        return None
+    held = {int(run): frozenset(fold[rows & (inputs.run == run)].tolist()) for run in runs}
+    if any(held_of_one.issuperset(fold_numbers(rows, fold)) for held_of_one in held.values()):
+        return None
+    return {run: fit(folds) for run, folds in held.items()}
 
 
 def together(parts: Sequence[LeftOutErrors]) -> LeftOutErrors:

@@ -34,7 +34,7 @@ from models.thermal.training.inputs import (
     unusable_sensors,
     with_sensors,
 )
-from models.thermal.training.trust import POOLED_QUANTILE
+from models.thermal.training.trust import half_width_um
 
 MOST_MEMBERS = 64
 """The models of so many machines are kept, and so many are left out in turn, evenly spread over a larger fleet."""
@@ -296,9 +296,9 @@ def machine_type(
     farthest = max(float((np.square(one.farthest @ vectors) @ remaining).max()) for one in summaries)
     band_um = np.full((len(COUNTS), len(channels)), np.nan)
     for row, count in enumerate(COUNTS):
-        residuals = [np.abs(one.residual_um) for one in left_out if one.recordings == count]
+        residuals = [one.residual_um for one in left_out if one.recordings == count]
         if len(residuals) > 1:
-            band_um[row] = np.quantile(np.vstack(residuals), POOLED_QUANTILE, axis=0)
+            band_um[row] = half_width_um(residuals, len(residuals))
     with_none = [one.with_prior_um / np.maximum(one.without_um, 1e-9) for one in left_out if one.recordings == 0]
     return MachineType(
         type_id=type_id,
