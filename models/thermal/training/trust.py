@@ -23,8 +23,8 @@ from models.thermal.training.probing import probed_residual_um, wander_um2_per_m
 from models.thermal.training.watch_fit import smoothed
 
 BAND_QUANTILE = 0.95
-"""Of what was left of left-out runs, and of Student's factor for their number. Of 0.9, 0.925, 0.95 and 0.97 the
-narrowest that covers 90 % on all machines of the tuning half of the zoo."""
+"""Of what was left of left-out runs, and of Student's factor for their number. Chosen among 0.9 to 0.97 on the
+tuning half of the zoo: with less, more machines of few runs fall below 85 %."""
 SHORTEST_WANDER_MIN = 30.0
 """How far an offset wanders is not seen over less than this [min]; 10 to 60 min do equally well."""
 LATER = np.array([1.5, 2.0, 3.0, 4.0, 6.0, 8.0])
