@@ -1,7 +1,5 @@
 """Commands say which names of keys and options are old."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -9,8 +7,7 @@ import yaml
 from click.testing import CliRunner
 
 from config.sample import sample_configuration
-from daemon.cli import RENAMED_OPTIONS, main
-from daemon.cli.reference import commands
+from daemon.cli import main
 
 
 @pytest.fixture
@@ -34,28 +31,8 @@ def test_check_prints_a_warning_for_an_old_key(old_file: Path) -> None:
     assert WARNING not in done.stdout
 
 
-def test_run_logs_a_warning_for_an_old_key(old_file: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-P", "-m", "daemon.cli", "run", "--config", str(old_file)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
-    assert done.returncode == 2
-    assert "configuration.renamed_key" in done.stderr
-    assert WARNING in done.stderr
-
-
 @pytest.mark.parametrize("word", ["--within-percent", "--within-percent=20"])
 def test_an_old_option_is_taken_with_a_warning(word: str) -> None:
     done = CliRunner().invoke(main, ["stability", "choose", word, *([] if "=" in word else ["20"]), "--help"])
     assert done.exit_code == 0
     assert "warning: --within-percent is called --max-change-percent now" in done.stderr
-
-
-def test_every_new_option_is_one_and_no_old_one_is() -> None:
-    options = [option for _, command in commands(main) for option in command.params]
-    names = {name for option in options for name in (*option.opts, *option.secondary_opts)}
-    assert set(RENAMED_OPTIONS.values()) <= names
-    assert not names & set(RENAMED_OPTIONS)

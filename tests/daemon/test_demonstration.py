@@ -17,15 +17,6 @@ def test_a_computer_that_is_too_slow_is_told_which_speed_it_may_keep(late_s: flo
     assert told.endswith(advice)
 
 
-@pytest.mark.parametrize(("incomplete", "disturbed", "told"), [(2, 0, True), (2, 3, False), (0, 0, False)])
-def test_it_is_said_when_cycles_are_incomplete_that_no_fault_explains(
-    incomplete: int, disturbed: int, told: bool
-) -> None:
-    final = {"truth": {}, "cycles_sent": {"bed": 9}, "cycles_disturbed": {"bed": disturbed}}
-    failures = result(final, status_with(received=9, incomplete=incomplete), "too slow")[1]
-    assert failures[:1] == (["too slow"] if told else [])
-
-
 @pytest.mark.parametrize(
     ("sent", "received", "told"),
     [

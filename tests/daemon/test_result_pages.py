@@ -9,18 +9,9 @@ import numpy as np
 from click.testing import CliRunner
 
 from daemon.cli import main
-from daemon.workbench.thermal.result_pages import Stretch, replay_page
 from models.thermal.features import lag_table
 
 NAME = "Weg <Z> [um]"
-
-
-def stretch(name: str, hours: float, seed: int) -> Stretch:
-    rng = np.random.default_rng(seed)
-    time_h = np.arange(0.0, hours, 1.0 / 60.0)
-    measured = np.cumsum(rng.normal(0.0, 1.0, (len(time_h), 1)), axis=0)
-    band = np.full(measured.shape, 2.0)
-    return Stretch(name=name, time_h=time_h, measured_um=measured, estimated_um=0.9 * measured, band_um=band)
 
 
 def recording(path: Path) -> Path:
@@ -58,20 +49,3 @@ def test_an_evaluation_draws_itself_as_one_file_that_loads_nothing(tmp_path: Pat
     assert found["advice"] and set(found["advice"]) <= set(said)
     assert [sentence for sentence in said if sentence not in read] == [], "the page advises as the terminal does"
     assert "false alarms: " in read
-
-
-def test_a_replay_tells_the_model_and_what_was_left() -> None:
-    played = stretch("day.csv", 2.0, 4)
-    ends = {"rmse_um": 3.25, "max_um": 7.5}
-    found = {
-        "cycles": {"expected": 12, "received": 11},
-        "writes": {"sent": 9, "verified": 8},
-        "channels": {NAME: {"without": ends, "with": ends}},
-        "warnings": ["the output followed the estimate (ACTIVE) for 40% of the time played"],
-        "advice": ["record 2 runs like it"],
-    }
-    page = replay_page("Replay of day.csv", found, {"model": "ridge-1", "trained on": "a.csv"}, [NAME], played)
-    text = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
-    assert "ridge-1" in text and "11 of 12 cycles" in text and "8 of 9 writes" in text and "3.25" in text
-    assert "<Z>" not in text
-    assert "for 40% of the time" in text and "record 2 runs like it" in text

@@ -6,7 +6,6 @@ import pytest
 from click.testing import CliRunner, Result
 
 from daemon.cli import main
-from drivers.files.recording_csv import read_recording
 
 PROGRAMME = """
 name: short
@@ -37,19 +36,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory, programme: Path) -> Path:
     result = run(out, programme, "--seed", 3)
     assert result.exit_code == 0, result.output
     return out
-
-
-def test_the_recordings_are_read_like_any_other(folder: Path) -> None:
-    recording = read_recording(folder / "dataset-02.csv")
-    assert recording.rows == 25, "the reference and one row per minute"
-    assert len(recording.temperature_names) == 302
-    assert {"Y1", "Y2", "Z1", "Z2", "Z3"} <= set(recording.displacement_names)
-    assert recording.speed_rpm is not None
-    turning = recording.speed_rpm > 0.0
-    assert turning.tolist() == [False] + [True] * 14 + [False] * 10
-    assert recording.speed_rpm[5] == pytest.approx(12000.0)
-    nose = recording.temperatures_degc[:, recording.temperature_names.index("T301")]
-    assert nose[14] > nose[0] + 1.0, "full speed warms the nose"
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(folder: Path, programme: Path, tmp_path: Path) -> None:

@@ -6,8 +6,8 @@ import pytest
 
 from config.loader import load_configuration
 from config.machines import shipped_file
-from daemon.simulation.faults.script import HABITS, Incident, campaign, wire_faults
-from drivers.sim.faults import FaultKind, check_targets
+from daemon.simulation.faults.script import HABITS, Incident, campaign
+from drivers.sim.faults import FaultKind
 
 CONFIGURATION = load_configuration(Path(shipped_file("cfrpmt.yaml")))
 LINES = CONFIGURATION.temperatures.lines
@@ -29,10 +29,3 @@ def test_a_short_campaign_brings_other_kinds_with_every_seed() -> None:
     kinds = [{happening.kind for happening in campaign(0.2, seed, LINES)} for seed in range(40)]
     assert set.union(*kinds) >= set(HABITS) - {Incident.WRONG_SENSOR}, "that one comes last, and lasts for an hour"
     assert all(len(each) > 8 for each in kinds)
-
-
-def test_the_faults_on_the_wires_are_ones_that_this_machine_can_have() -> None:
-    for seed in range(5):
-        faults = wire_faults(campaign(10.0, seed, LINES), LINES)
-        check_targets(faults, CONFIGURATION)
-        assert {fault.kind for fault in faults} == set(FaultKind)

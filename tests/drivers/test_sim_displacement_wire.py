@@ -4,7 +4,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import pytest
 from scripted_machine import displacements
 
 from config.schema.displacements import DisplacementChannelConfig, DisplacementFileConfig, DisplacementsConfig
@@ -59,13 +58,6 @@ def test_layout_follows_the_configuration(tmp_path: Path) -> None:
     assert logger.path.read_bytes() == expected.encode("cp932")
 
 
-def test_layouts_that_the_reader_could_not_read_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="must be given by number"):
-        csv(displacements(tmp_path, header=None))
-    with pytest.raises(ValueError, match="does not start with 'Date'"):
-        csv(displacements(tmp_path, header="Date", time_columns=["Zeit"]))
-
-
 def test_truncated_file_begins_again(tmp_path: Path) -> None:
     logger = csv(displacements(tmp_path), fault(FaultKind.CSV_TRUNCATED, 30.0))
     logger.step(29.0)
@@ -81,12 +73,3 @@ def test_rotated_file_is_moved_away(tmp_path: Path) -> None:
     logger.step(60.0)
     assert (tmp_path / "displacements.csv.1").read_bytes() == HEAD + ROWS[0]
     assert (tmp_path / "displacements.csv").read_bytes() == HEAD + ROWS[1]
-
-
-def test_half_a_row_is_completed_later(tmp_path: Path) -> None:
-    logger = csv(displacements(tmp_path), fault(FaultKind.CSV_HALF_ROW, 10.0, duration_s=20.0))
-    half = len(ROWS[1]) // 2
-    logger.step(79.9)
-    assert logger.path.read_bytes() == HEAD + ROWS[0] + ROWS[1][:half]
-    logger.step(80.0)
-    assert logger.path.read_bytes() == HEAD + b"".join(ROWS)

@@ -3,9 +3,8 @@
 from pathlib import Path
 
 import pytest
-from scripted_machine import configuration
 
-from drivers.sim.faults import Fault, FaultKind, FaultScriptError, check_targets, load_faults, parse_faults
+from drivers.sim.faults import Fault, FaultKind, FaultScriptError, load_faults, parse_faults
 
 SCRIPT = """\
 - {kind: noise, at_s: 600, duration_s: 60, target: spindle, amount: 0.02}
@@ -62,16 +61,3 @@ def test_a_script_becomes_frozen_records(tmp_path: Path) -> None:
 def test_mistakes_are_told_with_their_place(text: str, message: str) -> None:
     with pytest.raises(FaultScriptError, match=message):
         parse_faults(text, "f")
-
-
-@pytest.mark.parametrize(
-    ("fault", "message"),
-    [
-        (Fault(kind=FaultKind.UNPLUGGED, at_s=1, target="saddle"), "no line is called 'saddle'; there are spindle"),
-        (Fault(kind=FaultKind.STUCK_SENSOR, at_s=1, target=99), "there is no sensor 99"),
-        (Fault(kind=FaultKind.RENUMBERED, at_s=1, target="column", amount=4), "line column has 3 chain positions only"),
-    ],
-)
-def test_targets_must_exist(tmp_path: Path, fault: Fault, message: str) -> None:
-    with pytest.raises(FaultScriptError, match=message):
-        check_targets([fault], configuration(tmp_path))

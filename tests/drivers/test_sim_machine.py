@@ -172,25 +172,6 @@ def test_power_cycle() -> None:
     assert nc.clock_s == pytest.approx(7.5, abs=0.001)
 
 
-def test_demo_cuts_at_high_speed_with_safe_points_and_new_positionings() -> None:
-    program = demo_program()
-    assert program.blocks[0].kind == "idle" and 120 <= program.blocks[0].duration_s <= 180
-    cuts = [block for block in program.blocks if block.kind == "cut"]
-    assert {block.sequence_number for block in cuts} >= {200, 210}
-    assert all(8000 <= block.spindle_speed_rpm <= 12000 for block in cuts)
-    simulated = machine()
-    positionings, safe_starts, previous = [], [], 0
-    for time_s in range(1, 2 * 3600):
-        simulated.advance(float(time_s))
-        number = simulated.nc.sequence_number
-        if number != previous:
-            (positionings if number == 100 else safe_starts if number == SAFE else []).append(time_s)
-        previous = number
-    assert len(positionings) == 3
-    assert all(45 * 60 <= gap <= 60 * 60 for gap in np.diff(positionings))
-    assert np.median(np.diff(safe_starts)) == 60.0
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [({"duration_s": 0.0}, "duration_s"), ({"duration_s": 1.0, "spindle_speed_rpm": 12001.0}, "outside")],

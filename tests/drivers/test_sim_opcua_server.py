@@ -86,28 +86,6 @@ async def test_values_that_are_no_numbers_are_refused(client: Client, value: ua.
     assert NC.macros.written == []
 
 
-async def test_subscribers_are_told_of_changes(client: Client) -> None:
-    changes: asyncio.Queue[float] = asyncio.Queue()
-
-    class Handler:
-        def datachange_notification(self, _node: object, value: float, _data: object) -> None:
-            changes.put_nowait(value)
-
-    subscription = await client.create_subscription(50, Handler())
-    await subscription.subscribe_data_change(client.get_node(await variable(client, "s=SequenceNumber")))
-    seen: list[float] = []
-    async with asyncio.timeout(10):
-        for number in (20, 77):
-            NC.sequence_number = number
-            while number not in seen:
-                seen.append(await changes.get())
-    await subscription.delete()
-    assert seen[-2:] == [20, 77], "each change once, in its order"
-    NC.sequence_number = 78
-    await asyncio.sleep(0.2)
-    assert changes.empty(), "nobody is told after the end of the subscription"
-
-
 async def test_stop_ends_connections_and_leaves_no_task_and_can_be_repeated() -> None:
     before = asyncio.all_tasks()
     server = SimulatedCncServer(ScriptedNc(), cnc_config(), port=0)

@@ -77,16 +77,6 @@ def test_nothing_is_applied_before_the_tool_is_at_a_safe_point() -> None:
     assert played.truth()["Y1"].compensated_um == pytest.approx(0.0)
 
 
-def test_a_map_with_a_handshake_asks_for_a_reference_at_positioning() -> None:
-    played = machine(request=True)
-    played.advance(LEAD_IN_S - 0.1)
-    assert played.nc.macros.get(530) == 0.0
-    played.advance(LEAD_IN_S + 1.0)
-    assert [played.nc.macros.get(number) for number in (530, 531, 532)] == [1.0, 1.0, 0.0]
-    played.advance(LEAD_IN_S + 11.0)
-    assert played.nc.macros.get(531) == 0.0
-
-
 def test_work_is_positioned_until_the_daemon_has_taken_it_however_late_it_looks() -> None:
     """Played 600 times as fast, 20 s are 33 ms of the wall clock: a busy daemon once missed them for good."""
     played = machine(request=True)

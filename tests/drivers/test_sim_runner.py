@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from left_behind import leaves_nothing_behind
 from scripted_machine import ScriptedMachine, cnc_config, configuration
 
 from drivers.clock import ScaledClock, SystemClock
@@ -163,18 +162,3 @@ async def test_frozen_and_killed_cnc(tmp_path: Path) -> None:
     await cnc.connect()
     await cnc.close()
     await running.stop()
-
-
-async def test_cancel_leaves_nothing_behind(tmp_path: Path) -> None:
-    """But idle threads of asyncio's own pool, which end with the loop."""
-
-    async def once() -> None:
-        running = Running(tmp_path, HandClock(), Fault(kind=FaultKind.FROZEN_CNC, at_s=0.0))
-        await asyncio.wait_for(running.ready, 30)
-        await running.move(1.0)
-        await running.stop()
-
-    tasks = asyncio.all_tasks()
-    await leaves_nothing_behind(once)
-    assert asyncio.all_tasks() == tasks
-    assert [path.name for path in tmp_path.iterdir()] == ["displacements.csv"]

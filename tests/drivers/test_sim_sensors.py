@@ -1,18 +1,11 @@
 """The simulated machine's sensors: places, offsets, lag, quantisation, and the displacement readings."""
 
-import csv
-import os
-from collections import Counter
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from config.schema.temperatures import SensorConfig
-from drivers.sim.machine.day import Day
 from drivers.sim.machine.heat import INDEX
 from drivers.sim.machine.parameters import NODES
-from drivers.sim.machine.plant import Plant
 from drivers.sim.machine.sensor_places import sensor_shares
 from drivers.sim.machine.sensors import (
     CONTACT_LAG_S,
@@ -78,29 +71,3 @@ def test_neighbours_differ_and_sensors_read_their_own_component() -> None:
     cast = shares[[row for row, sensor in enumerate(SENSORS) if sensor.part == "Cast metal"]]
     assert len({tuple(row) for row in cast}) == len(cast)
     assert shares[0, INDEX["air_low"]] > 0 and shares[0, INDEX["shaft_front"]] == 0
-
-
-def test_published_sensor_list_finds_its_places() -> None:
-    shared = Path(os.environ.get("TOOLPOINT_SHARED", Path(__file__).parents[3] / "shared"))
-    listing = shared / "reference" / "latsis_sensors.csv"
-    if not listing.exists():
-        pytest.skip(f"no list of the published sensors at {listing}")
-    with listing.open(encoding="utf-8") as file:
-        sensors = [
-            SensorConfig(
-                id=int(row["sensor_id"]),
-                device="MLX90615" if row["device"] == "MLX90615" else "TMP102",
-                component=row["component"],
-                part=row["part"],
-                label=row["label"] or None,
-            )
-            for row in csv.DictReader(file)
-        ]
-    shares = sensor_shares(sensors)
-    assert shares.shape == (302, len(NODES))
-    assert shares.sum(axis=1) == pytest.approx(1.0)
-    covered = Counter(name for name in NODES if shares[:, INDEX[name]].max() > 0.5)
-    assert len(covered) > 30
-    plant = Plant(Day.nominal())
-    sensed = SensorArray(sensors, machine_seed=1, noise_seed=1).settled(plant.cold())
-    assert sensed == pytest.approx(20.0)

@@ -1,7 +1,6 @@
 """The simulated spindle's finite elements and bearings, against independent computations; its campaigns."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,16 +8,8 @@ from true_resonance import TrueResonance
 
 from config.machine.spindle import spindle_folder
 from config.machine.spindle_chain import read_spindle
-from daemon.simulation.impact_campaign import labelled_sensors
-from drivers.files.frf_measurement import read_measurements
-from drivers.files.impact_index import read_index
-from drivers.files.recording_csv import read_header
-from drivers.sim.machine.body import MachineBody
-from drivers.sim.machine.day import Day
 from drivers.sim.machine.heat import INDEX
-from drivers.sim.nc.program import Block, PartProgram
 from drivers.sim.spindle import spindle_beam
-from drivers.sim.spindle.impact_campaign import CampaignPlan, run_campaign
 from drivers.sim.spindle.spindle_beam import BEARING_PLACES_MM, SpindleBeam, Spring, Stretch
 from drivers.sim.spindle.spindle_bearings import bearings, nominal_bearings
 from models.dynamics.assembly import CondensedAssembly
@@ -87,22 +78,3 @@ def test_the_true_resonance_is_followed_through_temperature() -> None:
     way = [truth.at(at(20.0 + k, 20.0 + 0.8 * k, 20.0 + 0.4 * k)) for k in np.linspace(0.0, 20.0, 41)]
     assert np.abs(np.diff(way)).max() < 5.0
     assert way[-1] - way[0] > 30.0
-
-
-def test_a_campaign_as_files(tmp_path: Path) -> None:
-    rest = Block(sequence_number=1, kind="idle", duration_s=600.0)
-    plan = CampaignPlan(program=PartProgram(number=1, blocks=(rest,)), hits_s=(60.0, 200.0), duration_s=300.0)
-    sensors = labelled_sensors()
-    campaign = run_campaign(Day.draw(1, start="cold"), sensors, FREQUENCY_HZ, plan=plan)
-    campaign.write(tmp_path)
-    index = read_index(tmp_path)
-    assert [(each.axis, each.time) for each in index] == [("x", 60.0), ("y", 90.0), ("y", 200.0), ("x", 230.0)]
-    (measured,) = read_measurements(index[0].path)
-    assert measured.frequency_hz == pytest.approx(FREQUENCY_HZ)
-    body = MachineBody(Day.draw(1, start="cold"), plan.program, sensors)
-    true = SpindleBeam(nominal_bearings("x"), with_tool=False).modes(bearings(body.thermal_nodes(), "x"))
-    ratio = measured.receptance_m_per_n / true.receptance(FREQUENCY_HZ)
-    assert 0.002 < np.std(np.abs(ratio)) < 0.1
-    assert read_header(tmp_path / "temperatures.csv")[:2] == ["t", f"T{sensors[0].id}"]
-    same = run_campaign(Day.draw(1, start="cold"), sensors, FREQUENCY_HZ, plan=plan)
-    assert np.array_equal(same.impacts[0].receptance, campaign.impacts[0].receptance)

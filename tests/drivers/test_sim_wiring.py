@@ -37,16 +37,6 @@ def ask(machine: CfrpMachine, **um: float) -> None:
     macros.set(MACROS.check, block_check(MACROS, MACHINE.compensation.axes, held))
 
 
-def test_a_machine_that_stands_takes_a_block_over_within_seconds() -> None:
-    machine = standing()
-    ask(machine, z=4.0)
-    machine.advance(3.0)
-    assert machine.guard.applied_um == {"x": 0.0, "y": 0.0, "z": 4.0}
-    assert (machine.nc.sequence_number, machine.nc.spindle_speed_rpm) == (900, 0.0)
-    machine.advance(7200.0)
-    assert machine.nc.sequence_number == 900
-
-
 @pytest.mark.parametrize(
     ("wiring", "moved"),
     [

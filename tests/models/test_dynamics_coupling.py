@@ -146,20 +146,6 @@ def free_with_supports() -> Chain:
     return shaft(dict.fromkeys(PROPERTIES, SpringDamper()))
 
 
-@pytest.mark.parametrize("places", [(0.0, 0.5011), (0.0891, 0.0891), (0.2, 0.2541)], ids=["ends", "twice", "border"])
-def test_supports_at_ends_borders_and_twice_at_one_place(places: tuple[float, float]) -> None:
-    supports = tuple(
-        Support(position_m=m, group=group, properties=PROPERTIES[group])
-        for m, group in zip(places, ("12", "5"), strict=True)
-    )
-    chain = replace(shaft(), supports=supports)
-    condensed = CondensedShaft(chain, FREQUENCY_HZ)
-    found, derivatives = condensed.nose_receptance_and_derivatives(PROPERTIES)
-    stiffness, _ = dense_stiffness(chain, float(FREQUENCY_HZ[2]), 0.0, damped=True)
-    assert found[2] == pytest.approx(np.linalg.inv(stiffness)[0, 0], rel=1e-9)
-    assert set(derivatives) == {name for name in PARAMETERS if not name.endswith("_34")}
-
-
 def test_derivatives_by_every_parameter() -> None:
     condensed = CondensedShaft(shaft(), FREQUENCY_HZ)
     found, derivatives = condensed.nose_receptance_and_derivatives(PROPERTIES)

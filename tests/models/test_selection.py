@@ -41,11 +41,3 @@ def test_the_sensors_that_know_something_come_first(comparison: SensorComparison
     selection = comparison.select(method, 3)
     assert set(selection.sensors[:2]) == {"T2", "T5"}
     assert selection.relative_rmse[1] < 0.8 * selection.relative_rmse[0]
-
-
-def test_the_dear_sensors_are_those_that_know_something(comparison: SensorComparison) -> None:
-    prices = comparison.prices()
-    assert {price.sensor for price in prices[:2]} == {"T2", "T5"}
-    whole = comparison.score(range(6))
-    assert all(price.rise == pytest.approx(price.relative_rmse - whole) for price in prices)
-    assert comparison.score([1, 4]) < comparison.score([0, 3])
