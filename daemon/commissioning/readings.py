@@ -60,7 +60,8 @@ class DisplacementLog:
         self._names = tuple(channel.name for channel in displacements.every_channel)
         self._settle_s = SETTLED_LOOKS * displacements.longest_period_s
         self._wanted: set[str] = set()
-        self._rows: deque[tuple[float, Mapping[str, float]]] = deque(maxlen=KEPT_ROWS)
+        self._rows: deque[tuple[float, float, Mapping[str, float]]] = deque(maxlen=KEPT_ROWS)
+        """When a row arrived, when it was measured, and its values."""
 
     def check(self, channel: str) -> None:
         """Refuse a channel that does not exist."""
@@ -85,15 +86,20 @@ class DisplacementLog:
         try:
             async for sample in source.samples():
                 row = dict(zip(self._names, sample.um.tolist(), strict=True))
-                self._rows.append((self._clock.now().monotonic_s, row))
+                self._rows.append((self._clock.now().monotonic_s, sample.utc_s, row))
         finally:
             await source.close()
 
     async def mean(self, channels: Sequence[str], samples: int, patience_s: float) -> dict[str, Reading]:
         """Return means over rows that were measured after this call [um]."""
-        begin_s = self._clock.now().monotonic_s
+        begin = self._clock.now()
+        begin_s = begin.monotonic_s
         while True:
-            rows = [row for arrived_s, row in self._rows if arrived_s > begin_s + self._settle_s]
+            rows = [
+                row
+                for arrived_s, measured_utc_s, row in self._rows
+                if arrived_s > begin_s + self._settle_s and measured_utc_s > begin.utc_s
+            ]
             # The first value may have been measured before the question and written late.
             found = {name: [row[name] for row in rows if np.isfinite(row[name])][1:] for name in channels}
             if all(len(values) >= samples for values in found.values()):
@@ -102,7 +108,7 @@ class DisplacementLog:
                 fewest = min(found, key=lambda name: len(found[name]))
                 raise CommissioningRefusedError(
                     f"displacement channel {fewest}: {len(found[fewest])} of {samples} samples came within "
-                    f"{patience_s:g} s; check the logger, or ask for fewer with --samples"
+                    f"{patience_s:g} s; check the logger and its clock, or ask for fewer with --samples"
                 )
             await asyncio.sleep(0.02)
 

@@ -104,9 +104,10 @@ async def test_an_instrument_that_does_not_come_back_proves_nothing(bench):
 # --- the displacement channel ----------------------------------------------------------
 
 
-async def log_rows(bench: Bench, path: Path, noise_um: float) -> None:
-    """Write a logger's file: a row a second, in the layout of the configuration."""
+async def log_rows(bench: Bench, path: Path, noise_um: float, late_rows: int = 0) -> None:
+    """Write a logger's file: a row a second, in the layout of the configuration; so many rows wait to be written."""
     rng = np.random.default_rng(3)
+    waiting: list[str] = []
     with path.open("w", encoding="utf-8") as file:
         file.write("time,Y1,Y2,Z1,Z2,Z3\n")
         while True:
@@ -114,7 +115,9 @@ async def log_rows(bench: Bench, path: Path, noise_um: float) -> None:
             moved = bench.moved_um()
             values = [moved["y"], moved["y"], moved["z"], moved["z"], moved["z"]]
             fields = [f"{um + noise_um * rng.standard_normal():.3f}" for um in values]
-            file.write(f"{moment:.3f}," + ",".join(fields) + "\n")
+            waiting.append(f"{moment:.3f}," + ",".join(fields) + "\n")
+            if len(waiting) > late_rows:
+                file.write(waiting.pop(0))
             file.flush()
             await bench.clock.sleep(1.0)
 
@@ -131,10 +134,10 @@ def with_log(path: Path):
     return change
 
 
-@pytest.mark.parametrize(("noise_um", "words"), [(0.1, ""), (1.5, "scatters")])
-async def test_a_displacement_channel_reads_unless_it_is_noisy(bench, tmp_path, noise_um, words):
+@pytest.mark.parametrize(("noise_um", "late_rows", "words"), [(0.1, 0, ""), (0.1, 25, ""), (1.5, 0, "scatters")])
+async def test_a_displacement_channel_reads_unless_it_is_noisy(bench, tmp_path, noise_um, late_rows, words):
     path = tmp_path / "logger.csv"
-    writing = asyncio.create_task(log_rows(bench, path, noise_um))
+    writing = asyncio.create_task(log_rows(bench, path, noise_um, late_rows))
     await bench.clock.sleep(4.0)
     work = {
         "axes": ("z",),
