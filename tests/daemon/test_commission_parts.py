@@ -253,6 +253,7 @@ def run(*arguments):
 def test_check_says_what_a_record_does_not_cover(tmp_path):
     content = json.loads(shipped_file("simulated_machine_commissioning.json").read_text(encoding="utf-8"))
     del content["axes"]["y"]
+    content["machine"] = "CFRP machine tool"
     record_file = tmp_path / "record.json"
     record_file.write_text(json.dumps(content), encoding="utf-8")
     found = run("--config", machine_file(tmp_path), "--check", "--record", record_file)
