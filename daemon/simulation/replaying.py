@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from config.recordings.recording_map import ColumnError, RecordingMap, load_recording_map, usual_map
+from config.recordings.recording_map import ColumnError, RecordingMap, load_recording_map
 from config.records.commissioning import macro_map_digest
 from config.schema.base import NAME_PATTERN
 from config.schema.cnc import MacroMapConfig
 from config.schema.temperatures import LONGEST_CHAIN
 from daemon.history.series import EventRecord
 from daemon.model_release.loading import read_model
+from daemon.workbench.thermal.reading import common_map
 from drivers.contract import SIMULATED_CNC_IDENTITY
-from drivers.files.recording_csv import read_header
 from drivers.sim.machine.recorded import LEAD_IN_S
 from drivers.sim.nc.safe_point import GUARD_VERSION
 from models.cleanse import CleansingRules
@@ -27,7 +27,7 @@ from models.model_file import ModelError
 from models.recordings.dataset import Recording
 from models.recordings.plausibility import RISES_FROM_DEGC, are_rises
 from models.records import OutputState
-from models.thermal.family import model_from_json
+from models.thermal.family import ThermalModel, model_from_json
 from models.thermal.model import MACHINE
 from models.thermal.training.inputs import with_sensors
 from models.thermal.training.making import sensor_ids_from_names
@@ -57,6 +57,7 @@ OF_THE_WIRES = (
 """What keeps the output from following though the simulated wires are whole: a computer too busy for the speed."""
 OF_THE_PAST = "stand for the last"
 """In what the daemon says of a model whose lags stand for hours that it does not know."""
+OF_A_SENSOR = "has changed since the reference"
 OF_THE_MODEL = ("confidence", "outside the range")
 FAST_MARGIN = 1.5
 """A change within a cycle may be so many times the fastest of the recording."""
@@ -73,36 +74,49 @@ LIMITS = {"absolute_bound_um": 200.0, "slew_um_per_min": 20.0, "step_um": 50.0, 
 
 
 def map_of(recording: Path, map_path: Path | None) -> RecordingMap:
-    """Return the given map, or the usual one for the column names; raises ValueError, RecordingFileError."""
-    if map_path is not None:
-        return load_recording_map(map_path)
+    """Return the given map, or the usual one, as far as the recording has its columns: the model says what is needed.
+
+    Raises ValueError, RecordingFileError.
+    """
     try:
-        return usual_map(read_header(recording))
+        return common_map([recording], None if map_path is None else load_recording_map(map_path))
     except ColumnError as error:
         raise ValueError(f"{recording}: {error}") from error
 
 
-def sensor_names(recording: Recording) -> dict[int, str]:
-    """Return the columns of a recording's temperatures by the ID that training gave them."""
+def sensor_names(recording: Recording, model_file: Path) -> dict[int, str]:
+    """Return the columns of the temperatures that are played, by the ID that the model gives them."""
     names = recording.temperature_names[: recording.sensors]
-    return dict(zip(sensor_ids_from_names(names), names, strict=True))
+    model = _model(model_file)
+    ids = sensor_ids_from_names(names) if model is None else model.sensor_ids[: len(names)]
+    return dict(zip(ids, names, strict=True))
+
+
+def _model(path: Path) -> ThermalModel | None:
+    """Return a model; None for one that cannot be read, of which `modelled` says what is wrong."""
+    try:
+        return model_from_json(path.read_bytes(), str(path))
+    except (OSError, ModelError):
+        return None
 
 
 def modelled(path: Path, recording: Recording) -> Recording:
-    """Return the recording with the channels that a model estimates, and the axis positions that it needs.
+    """Return the recording with what a model estimates and what it needs, in the order in which it needs that.
 
     Slopes along an axis [um/m] are left out: nothing measures one. Raises ValueError, saying why, for a model that
     cannot be read or was not made for these columns.
     """
-    names = sensor_names(recording)
     needed = _positions_that_are_there(path, recording)
-    model, inhibit = read_model(path, names, (), needed)
+    known = _model(path)
+    model, inhibit = read_model(path, () if known is None else known.sensor_ids[: -len(needed) or None], (), needed)
     if model is None:
         raise ValueError(inhibit)
-    of_temperatures = len(model.sensor_ids) - len(needed)
-    for sensor_id, name in zip(model.sensor_ids[:of_temperatures], model.sensor_names, strict=False):
-        if name != names[sensor_id]:
-            raise ValueError(f"{path}: sensor {sensor_id} of the model is {name}, of the recording {names[sensor_id]}")
+    if lacking := [name for name in model.sensor_names if name not in recording.temperature_names]:
+        raise ValueError(
+            f"{path}: the model needs the temperature {lacking[0]!r}, and the recording has "
+            f"{', '.join(recording.temperature_names[: recording.sensors])}: columns go by their names, so give a "
+            "recording with those that it was trained on, or name them in the map (--map)"
+        )
     estimated = set(model.channels) - set(model.pivots_mm)
     channels = tuple(name for name in recording.displacement_names if name in estimated)
     if not channels:
@@ -110,15 +124,13 @@ def modelled(path: Path, recording: Recording) -> Recording:
             f"{path}: the model estimates {', '.join(model.channels)}, and the recording has "
             f"{', '.join(recording.displacement_names)}; give a recording of a channel that it estimates"
         )
-    return with_sensors(recording.with_channels(channels), [*names.values(), *needed])
+    return with_sensors(recording.with_channels(channels), model.sensor_names)
 
 
 def _positions_that_are_there(path: Path, recording: Recording) -> tuple[str, ...]:
     """Return the axis positions that a model needs; raises ValueError where the recording cannot play one."""
-    try:
-        needed = model_from_json(path.read_bytes(), str(path)).axis_positions
-    except (OSError, ModelError):
-        return ()  # which `read_model` puts into words
+    model = _model(path)
+    needed = () if model is None else model.axis_positions
     if lacking := [name for name in needed if name not in recording.axis_positions]:
         raise ValueError(
             f"{path}: the model needs the axis position {lacking[0]}, and the recording has "
@@ -202,7 +214,7 @@ class Following:
                 f"nothing in the recording does that: this computer is too busy to play it at --speed {speed:g}; "
                 f"play it again at --speed {max(speed / 4.0, 1.0):g}"
             )
-        if any(words in self.why for words in OF_THE_MODEL):
+        if OF_A_SENSOR not in self.why and any(words in self.why for words in OF_THE_MODEL):
             return (
                 "what was played goes where training did not, or begins without its past: record 2 runs like it and "
                 "train on them too, or begin some hours earlier (--from-hours)"
@@ -278,16 +290,15 @@ def replay_machine(recording: Recording, model_file: Path, record_file: Path) ->
         raise ValueError(
             f"a replay takes at most {MOST_CHANNELS} displacement channels, the recording has {len(channels)}"
         )
-    axes = axis_names(channels)
+    axes, names, model = axis_names(channels), sensor_names(recording, model_file), _model(model_file)
+    trained_on = "" if model is None else str(model.hyper_parameters.get(MACHINE, ""))
     period_s = float(np.median(np.diff(recording.time_s)))
     cycle_s = min(period_s, LONGEST_CYCLE_S)
-    sensors = [
-        {"id": number, "component": "recording", "part": name} for number, name in sensor_names(recording).items()
-    ]
+    sensors = [{"id": number, "component": "recording", "part": name} for number, name in names.items()]
     macros = _macro_map(tuple(axes))
     record_file.write_text(json.dumps(_commissioning(macros)), encoding="utf-8")
     return {
-        "machine": _trained_on(model_file) or f"recording {recording.name}",
+        "machine": trained_on or f"recording {recording.name}",
         "temperatures": {
             "lines": [
                 {
@@ -297,7 +308,7 @@ def replay_machine(recording: Recording, model_file: Path, record_file: Path) ->
                     "cycle_period_s": cycle_s,
                     "chain": [f"{part[0]}-{part[-1]}"] if part == list(range(part[0], part[-1] + 1)) else part,
                 }
-                for name, part in _lines(list(sensor_names(recording))).items()
+                for name, part in _lines(list(names)).items()
             ],
             "sensors": sensors,
             "cleansing": {
@@ -318,14 +329,6 @@ def replay_machine(recording: Recording, model_file: Path, record_file: Path) ->
             "output": {"safe_sequence_numbers": [900]},
         },
     }
-
-
-def _trained_on(path: Path) -> str:
-    """Return the machine that a model was trained on; '' where it names none, or `modelled` says what is wrong."""
-    try:
-        return str(model_from_json(path.read_bytes(), str(path)).hyper_parameters.get(MACHINE, ""))
-    except (OSError, ModelError):
-        return ""
 
 
 def allowed_change_k(recording: Recording, cycle_s: float) -> tuple[float, str]:

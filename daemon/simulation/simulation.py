@@ -28,6 +28,7 @@ from drivers.sim.wires.runner import Witness, run_simulated_machine
 from drivers.sim.wires.source_wires import as_simulated
 from models.recordings.dataset import Recording
 from models.recordings.plausibility import RISES_FROM_DEGC, are_rises
+from models.thermal.training.inputs import with_sensors
 
 DEMO_SEED = 1000
 """The demo's day; the shipped model was fitted on other days (`daemon.simulation.simulated_model`)."""
@@ -163,6 +164,9 @@ def recorded_simulation(
         followed = tuple(axis.estimate for axis in configuration.compensation.outputs.values() if axis.estimate)
         if set(followed) <= set(recording.displacement_names):
             recording = recording.with_channels(tuple(dict.fromkeys(followed)))
+        names = [sensor.part for sensor in configuration.temperatures.sensors]
+        if set(names) <= set(recording.temperature_names):
+            recording = with_sensors(recording, [*names, *configuration.cnc.axis_positions])
         machine = RecordedMachine(
             recording,
             configuration.temperatures.sensors,

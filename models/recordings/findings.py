@@ -1,7 +1,7 @@
 """Finds what may be wrong with a recording: sentences that name column and row, and say what to do."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -17,7 +17,7 @@ from models.recordings.plausibility import (
     impossible_speeds,
     impossible_temperatures,
 )
-from models.recordings.sensor_agreement import Disagreement, disagreements
+from models.recordings.sensor_agreement import FEWEST_PARTS, Disagreement, disagreements
 from models.records import FloatArray
 
 SMALLEST_SPAN_UM = 0.5
@@ -70,10 +70,12 @@ class Finding:
     row: int | None
     """Row of the file from 1 (without the header), None when it is about the whole column."""
     sentence: str
+    columns: int = 1
+    """Of so many columns the same is said; `column` names the first of them."""
 
     def __str__(self) -> str:
         """Return `column <name>, row <n>: <sentence>`."""
-        place = [f"column {self.column}"] if self.column else []
+        place = [f"column{'s' if self.columns > 1 else ''} {self.column}"] if self.column else []
         place += [f"row {self.row}"] if self.row is not None else []
         return f"{', '.join(place)}: {self.sentence}" if place else self.sentence
 
@@ -93,7 +95,18 @@ def recording_findings(recording: Recording, rows_together: int | None = None) -
         *_exchanged(possible),
         *_shortness(possible),
     ]
-    return tuple(sorted(found, key=lambda finding: finding.severity != "error"))
+    return tuple(sorted(_once(found), key=lambda finding: finding.severity != "error"))
+
+
+def _once(found: Sequence[Finding]) -> list[Finding]:
+    """Return findings that say the same of several columns of one row as one that names these columns."""
+    alike: dict[tuple[str, int | None, str], list[Finding]] = {}
+    for one in found:
+        alike.setdefault((one.severity, one.row, one.sentence), []).append(one)
+    return [
+        replace(of[0], column=_listed([one.column for one in of]), columns=len(of)) if len(of) > 1 else of[0]
+        for of in alike.values()
+    ]
 
 
 def require_usable(recording: Recording, rows_together: int | None = None) -> tuple[Finding, ...]:
@@ -186,9 +199,12 @@ def _disagreement(recordings: Sequence[Recording], found: Disagreement) -> Findi
     name = recording.temperature_names[found.sensor]
     advice = "check the sensor, and leave the fields empty where it is wrong, or take it out of the map"
     if found.row is None:
+        cut = len(recordings) < FEWEST_PARTS
+        where = "in a part of this recording" if cut else "in this recording alone"
+        so = ", or is it the only one near something that warmed there alone" if cut else ""
         sentence = (
-            f"contradicts the other temperatures by {found.by_k:.2g} K in this recording alone: exchanged, loose or "
-            f"mounted elsewhere? {advice[0].upper()}{advice[1:]}"
+            f"contradicts the other temperatures by {found.by_k:.2g} K {where}: exchanged, loose or "
+            f"mounted elsewhere{so}? {advice[0].upper()}{advice[1:]}"
         )
         return _warning(name, None, sentence)
     sentence = (

@@ -190,6 +190,17 @@ def test_what_is_odd_about_a_time_is_told(tmp_path: Path, time: str, texts: tupl
     assert "none seems to be its time" in result.stderr
 
 
+def test_a_map_that_a_person_has_corrected_is_not_written_over(tmp_path: Path) -> None:
+    """The same command with --common-columns, as it asks for, took the corrections away."""
+    files, path = runs(tmp_path), tmp_path / "map.yaml"
+    arguments = ("train", *files, "--model", "ridge", "--map-out", path, "-o", tmp_path / "model.json")
+    assert thermal(*arguments).exit_code == thermal(*arguments).exit_code == 0
+    path.write_text(corrected := path.read_text(encoding="utf-8") + "time_zone: Europe/Berlin\n", encoding="utf-8")
+    result = thermal(*arguments)
+    assert (result.exit_code, "is there already" in result.stderr) == (2, True), result.output
+    assert path.read_text(encoding="utf-8") == corrected
+
+
 def test_a_japanese_logger_is_understood_in_its_own_encoding(tmp_path: Path) -> None:
     path = foreign(tmp_path / "day.csv", 1)
     words = {"Drehzahl [1/min]": "主軸回転数", "Weg Z [µm]": "変位Z", "Uhrzeit": "時刻", "Datum": "日付"}

@@ -142,6 +142,13 @@ class TestExport:
         assert "cannot be written (No such file or directory)" in absent.stderr
         assert sorted(path.name for path in tmp_path.iterdir()) == ["t.csv"]
 
+    def test_without_an_end_all_that_there_is(self, tmp_path: Path) -> None:
+        """A replay of eight hours records in the future; up to now there was next to nothing of it."""
+        fill(store := tmp_path / "history.sqlite", time.time() + 7000.0)
+        result = run("export", "--store", store, "--what", "cnc", "--from", "-1h", "-o", tmp_path / "c.csv")
+        assert result.exit_code == 0, result.output
+        assert len((tmp_path / "c.csv").read_text().splitlines()) == 13
+
     @pytest.mark.parametrize(
         ("arguments", "words"),
         [

@@ -42,6 +42,10 @@ def test_the_share_of_each_state_comes_from_the_changes() -> None:
         ("no valid reference: the NC program has not passed its positioning", "play it again at --speed 150"),
         ("confidence 0.10 is below 0.70 (outside the domain)", "record 2 runs like it"),
         ("the level of sensor 2 by 2.0 K has changed", "look at that sensor in the recording"),
+        (
+            "confidence 0.00 is below 0.70 (the level of sensor 2 has changed since the reference)",
+            "look at that sensor in the recording",
+        ),
     ],
 )
 def test_a_replay_that_was_not_followed_says_what_to_do(reason: str, advice: str) -> None:

@@ -5,12 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from control_rig import SENSOR_IDS
 from small_model import model
 
 from daemon.simulation.processes import write_simulation_configuration
 from daemon.simulation.replaying import map_of, modelled, replay_machine
+from daemon.simulation.simulation import recorded_simulation
+from drivers.clock import ScaledClock
+from drivers.files.recording_csv import read_recording, write_recording
+from drivers.sim.machine.recorded import RecordedMachine
 from models.recordings.dataset import Recording
+from models.units import TMP102_DEGC_PER_LSB
 
 CHANNELS = ("Weg Z [µm]", "Weg Z (µm)", '1st, "front"', "Z1")
 
@@ -68,6 +74,31 @@ def test_sensors_have_the_numbers_that_their_columns_say(tmp_path: Path) -> None
     assert [sensor["id"] for sensor in machine["temperatures"]["sensors"]] == list(SENSOR_IDS)
     with pytest.raises(ValueError, match="the model estimates Y1, Z1, and the recording has x"):
         modelled(path, numbered.with_channels(("x",)))
-    with pytest.raises(ValueError, match=f"sensor {SENSOR_IDS[0]} of the model is"):
-        path.write_text(model(sensor_names=(*names[1:], names[0])).to_json(), encoding="utf-8")
+    with pytest.raises(ValueError, match="needs the temperature 'T77', and the recording has T1, "):
+        path.write_text(model(sensor_names=("T77", *names[1:])).to_json(), encoding="utf-8")
         modelled(path, numbered)
+
+
+def test_columns_go_to_the_sensors_of_the_model_by_their_names(tmp_path: Path) -> None:
+    """In another order, with more of them, or with a map that names some which this recording lacks."""
+    names = ("Öl [°C]", "Bett (1)", "Spindel, vorn", "Raum", "Säule")
+    (path := tmp_path / "model.json").write_text(model(sensor_names=names).to_json(), encoding="utf-8")
+    given = {name: 20.0 + place for place, name in enumerate(names)}
+    columns = {"t": (60.0 * np.arange(20.0), 0), "tot": (np.full(20, 19.0), 1)}
+    columns |= {name: (np.full(20, given[name]), 1) for name in reversed(names)}
+    columns |= {name: (np.arange(20.0), 1) for name in ("Z1", "Y1")}
+    write_recording(csv := tmp_path / "tag.csv", {}, columns)
+    keys = {"time": "t", "temperatures": ["tot", *names, "Türen"], "displacements": ["Z1", "Y1", "X1"]}
+    (map_path := tmp_path / "map.yaml").write_text(yaml.safe_dump(keys, allow_unicode=True), encoding="utf-8")
+    played = modelled(path, read_recording(csv, map_of(csv, map_path)))
+    assert played.temperature_names == names
+    assert played.temperatures_degc[0].tolist() == list(given.values())
+    machine = replay_machine(played, path, tmp_path / "commissioning.json")
+    said = {sensor["id"]: sensor["part"] for sensor in machine["temperatures"]["sensors"]}
+    assert said == dict(zip(SENSOR_IDS, names, strict=True))
+    _, configuration = write_simulation_configuration(machine, tmp_path, speed=100.0)
+    clock = ScaledClock(speed=100.0, epoch_real_s=0.0, epoch_utc_s=0.0)
+    simulated = recorded_simulation(configuration, clock, csv, recording_map=map_of(csv, map_path), hours=None)
+    assert isinstance(simulated.machine, RecordedMachine)
+    codes = simulated.machine.register_codes(SENSOR_IDS)
+    assert [code * TMP102_DEGC_PER_LSB for code in codes] == list(given.values())

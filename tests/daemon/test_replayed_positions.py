@@ -46,7 +46,7 @@ def test_only_the_positions_that_the_model_needs_are_axes_of_the_control_that_re
 ) -> None:
     path = written(tmp_path)
     part = modelled(path, recording())
-    assert part.axis_positions == ("Z_mm",) and part.sensors == max(SENSOR_IDS)
+    assert part.axis_positions == ("Z_mm",) and part.sensors == len(SENSOR_IDS)
     assert played_positions(part) == {"Z_mm": {"axis": "X", "known": pytest.approx(0.9)}}
     machine = replay_machine(part, path, tmp_path / "commissioning.json")
     _, configuration = write_simulation_configuration(machine, tmp_path, speed=100.0)

@@ -26,7 +26,7 @@ def sentences(one: Recording) -> str:
     return "\n".join(str(finding) for finding in recording_findings(one))
 
 
-def spoilt(table: str, column: int, rows: slice | int, value: float) -> Recording:
+def spoilt(table: str, column: int | slice, rows: slice | int, value: float) -> Recording:
     good = recording()
     values = getattr(good, table).copy()
     values[rows, column] = value
@@ -60,6 +60,13 @@ def test_missing_values_are_a_warning_that_names_column_and_row() -> None:
     assert "column t2, row 5: 3 values are missing" in sentences(spoilt("temperatures_degc", 1, slice(4, 7), np.nan))
     assert "row 5: 1 value is missing, here; the row" in sentences(spoilt("temperatures_degc", 1, slice(4, 5), np.nan))
     require_usable(spoilt("temperatures_degc", 1, slice(4, 7), np.nan))
+
+
+def test_a_row_that_is_missing_in_every_column_is_told_once() -> None:
+    """A warning for each of 302 sensors left no room for what else was wrong."""
+    names = recording().temperature_names
+    (found,) = (one for one in recording_findings(spoilt("temperatures_degc", slice(None), 4, np.nan)) if one.row == 5)
+    assert found.columns == len(names) and str(found).startswith(f"columns {', '.join(names)}, row 5: 1 value is")
 
 
 def test_a_temperature_and_a_displacement_that_are_exchanged_are_named() -> None:

@@ -12,7 +12,17 @@ from typing import Any
 import click
 
 from daemon.cli.common import FILE, config_option, option, read_configuration, refuse, say, write_json
-from daemon.cli.operate.history_view import FAR_FUTURE_S, duration, iso, moment, print_rows, sensor_list, view
+from daemon.cli.operate.history_view import (
+    FAR_FUTURE_S,
+    NEWEST,
+    duration,
+    iso,
+    moment,
+    print_rows,
+    sensor_list,
+    until,
+    view,
+)
 from daemon.cli.options import json_option
 from daemon.history import HistoryReader
 from daemon.history.columns.kinds import TEMPERATURES
@@ -155,7 +165,7 @@ def _print_view(reader: HistoryReader, what: str, from_utc_s: float, limit: int)
 @store_option
 @option("--what", type=click.Choice(KINDS_EXPORTED), required=True, help="Which records.")
 @option("--from", "from_utc_s", callback=moment, required=True, help="Start: ISO 8601 (UTC without offset) or -24h.")
-@option("--to", "to_utc_s", callback=moment, default="now", help="End, not included.")
+@option("--to", "to_utc_s", callback=until, default=NEWEST, help="End, not included.")
 @option("--sensors", callback=sensor_list, help="Sensor IDs, such as 1-5,7 (temperatures only).")
 @option("--quality", is_flag=True, help="Add quality and reason of every temperature.")
 @option(
@@ -203,7 +213,8 @@ def export(
         if table.window_count == 0:
             extent = reader.extent(what)
             held = f"it has them from {iso(extent[0])} to {iso(extent[1])}" if extent else "it has none at all"
-            refuse(f"{reader.path}: no {what} from {iso(from_utc_s)} to {iso(to_utc_s)}; {held}")
+            to = NEWEST if to_utc_s == FAR_FUTURE_S else iso(to_utc_s)
+            refuse(f"{reader.path}: no {what} from {iso(from_utc_s)} to {to}; {held}")
         rows = _write(table, output, format_)
         say(f"{rows} rows of {what} written to {output}")
 

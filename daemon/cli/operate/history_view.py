@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 FAR_FUTURE_S = 2.0**40
+NEWEST = "newest"
 STYLES = {
     WriteOutcome.VERIFIED: "green",
     WriteOutcome.INTENDED: "yellow",
@@ -234,6 +235,11 @@ def moment(_context: click.Context, _parameter: click.Parameter, text: str) -> f
             f"{text!r} is no time; write 2026-03-01T08:00, 2026-03-01T08:00+01:00, now, or -24h"
         ) from None
     return (parsed if parsed.tzinfo else parsed.replace(tzinfo=UTC)).timestamp()
+
+
+def until(context: click.Context, parameter: click.Parameter, text: str) -> float:
+    """Return the end of a span: like `moment`; the newest record may be later than now (a replay's store)."""
+    return FAR_FUTURE_S if text == NEWEST else moment(context, parameter, text)
 
 
 def sensor_list(_context: click.Context, _parameter: click.Parameter, text: str | None) -> tuple[int, ...] | None:

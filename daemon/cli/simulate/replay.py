@@ -110,7 +110,7 @@ def replay(
             final, status = settle(running)
         with HistoryReader(running.configuration.history.path) as reader:
             span_s = played_utc_s(part, began_s)
-            followed = following(reader.events(0.0, span_s[1]), *span_s, names=sensor_names(part))
+            followed = following(reader.events(0.0, span_s[1]), *span_s, names=sensor_names(part, model_path))
     channels = axis_names(part.displacement_names)
     final["channels"] = {channels[axis]: figures for axis, figures in final["channels"].items()}
     found = _found(final, status, followed, said, speed)

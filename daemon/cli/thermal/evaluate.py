@@ -147,14 +147,16 @@ def _show(found: dict[str, Any]) -> None:
     say(f"model {found['model']}: {settings or settings_text(found['hyper_parameters'])}")
     for family, why in {c["chosen"]["family"]: c["chosen"]["why"] for c in found["channels"].values()}.items():
         say(f"chosen: {family}; {why}")
+    width = max(len(called(name, figures)) for name, figures in (("channel", {}), *found["channels"].items()))
     say(
-        f"{'channel':10} {'rmse':>7} {'max':>7} [um] {'reduction':>10} {'of max':>7} {'on line':>8} "
+        f"{'channel':{width}} {'rmse':>7} {'max':>7} [um] {'reduction':>10} {'of max':>7} {'on line':>8} "
         f"{'band':>7} [um] covers"
     )
     for name, figures in (*found["channels"].items(), ("mean", found["mean"])):
         online = (figures["online"] or {}).get("reduction_rmse")
         say(
-            f"{called(name, figures):10} {_text(figures['rmse_um'], '7.2f')} {_text(figures['max_um'], '7.2f')}      "
+            f"{called(name, figures):{width}} {_text(figures['rmse_um'], '7.2f')} "
+            f"{_text(figures['max_um'], '7.2f')}      "
             f"{_text(figures['reduction_rmse'], '10.1%')} {_text(figures['reduction_max'], '7.1%')} "
             f"{_text(online, '8.1%')} "
             f"{_text(figures['band_width_um'], '7.2f')}      {_text(figures['band_coverage'], '.0%')}"

@@ -178,6 +178,8 @@ def _proposed(recording: Path, map_out: Path | None) -> "RecordingMap | None":
         refuse(
             f"{recording}: columns without usual names; {lacks}check this map, save it, give it with --map{as_it_is}"
         )
+    if map_out.is_file() and map_out.read_text(encoding="utf-8", errors="replace") != found.yaml():
+        refuse(f"{map_out}: is there already, and differs from what would be proposed; use it with --map, or delete it")
     write_whole(map_out, found.yaml())
     say(f"{map_out}: what the columns of {recording.name} seem to be; check it")
     for note in found.notes:
@@ -267,11 +269,12 @@ def _show(found: dict[str, Any]) -> None:
     say(f"left out in turn: {folds if isinstance(folds, str) else ', '.join(folds)}")
     if (remains := held_out["relative_rmse"]) is not None:
         say(f"{remains:.1%} of the error remains there{_chosen_without(found['chosen'], remains)}")
-    say(f"{'channel':10} {'rmse without':>13} {'with':>8} {'max without':>12} {'with':>8}   [um]")
+    width = max(len(name) for name in ("channel", *held_out["channels"]))
+    say(f"{'channel':{width}} {'rmse without':>13} {'with':>8} {'max without':>12} {'with':>8}   [um]")
     for channel, reached in held_out["channels"].items():
         without, remaining = reached["without"], reached["with"]
         say(
-            f"{channel:10} {without['rmse_um']:13.2f} {remaining['rmse_um']:8.2f} "
+            f"{channel:{width}} {without['rmse_um']:13.2f} {remaining['rmse_um']:8.2f} "
             f"{without['max_um']:12.2f} {remaining['max_um']:8.2f}"
         )
     if remains is not None and remains >= 1.0:

@@ -296,7 +296,10 @@ def _figures(inputs: Inputs, outcomes: Sequence[_Outcome], record_next: Sequence
     several = len(outcomes) > 1
     tests = [_test_figures(inputs, outcome) for outcome in outcomes]
     by_test = {o.name: _channel_figures(inputs.channels, [o]) for o in outcomes}
-    said = [*dict.fromkeys(sentence for o in outcomes for sentence in o.reversed_runs), *record_next]
+    turned = dict.fromkeys(sentence for o in outcomes for sentence in o.reversed_runs)
+    tested = tuple(f"{o.name}: " for o in outcomes)
+    said = [f"{one}; as a test it counts in these figures" if one.startswith(tested) else one for one in turned]
+    said += record_next
     residuals = {o.name: [(trial.measured_um, trial.residual_um) for trial in o.trials] for o in outcomes}
     said += [*reversed_sentences(inputs.channels, residuals, said), *harm_sentences(channels, by_test)]
     said += [*on_line_sentences(tests, {o.name: o.beyond for o in outcomes}), *position_sentences(tests)]
