@@ -104,13 +104,32 @@ def _best_exchange(parts: Sequence[Part], sensors: Sequence[int]) -> Exchange | 
     squares, rows = [table.T @ table for table in tables], [len(table) for table in tables]
     for first, alone in _splits(len(parts)):
         inside = [first <= index and (index == first or not alone) for index in range(len(parts))]
-        before, after = (_Side.of(squares, rows, [one is which for one in inside]) for which in (False, True))
-        found = _best_pair(before, after)
+        found = _best_pair_inside(squares, rows, inside)
         if found is not None and (best is None or found[0] > best[0]):
             gain, (one, other), by_k = found
             pair = (sensors[one], sensors[other])
             best = gain, Exchange(first=parts[first].recording, alone=alone, sensors=pair, by_k=by_k)
     return None if best is None else best[1]
+
+
+def exchanged_in_one(squares: Sequence[FloatArray]) -> list[tuple[tuple[int, int], float] | None]:
+    """Return of several machines which two sensors are exchanged on each, against all others, and by how much [K].
+
+    `squares`: of each machine, mean products of temperatures about the means of recordings [K^2], shape (n, n).
+    """
+    found: list[tuple[tuple[int, int], float] | None] = []
+    for place in range(len(squares)):
+        best = _best_pair_inside(squares, [1] * len(squares), [at == place for at in range(len(squares))])
+        found.append(None if best is None else best[1:])
+    return found
+
+
+def _best_pair_inside(
+    squares: Sequence[FloatArray], rows: Sequence[int], inside: Sequence[bool]
+) -> tuple[float, tuple[int, int], float] | None:
+    """Return what `_best_pair` does of some parts with an exchange and all others without."""
+    before, after = (_Side.of(squares, rows, [one is which for one in inside]) for which in (False, True))
+    return _best_pair(before, after)
 
 
 def _splits(recordings: int) -> Iterator[tuple[int, bool]]:

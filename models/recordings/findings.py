@@ -318,6 +318,7 @@ def _temperature_units(recording: Recording) -> Iterator[Finding]:
             sentence = f"a median of {median:.4g} cannot be degC; is it connected? Else take it out of the map"
             yield _error(name, None, sentence)
     yield from _fahrenheit(recording)
+    yield from _fahrenheit_among_others(recording)
 
 
 def _fahrenheit(recording: Recording) -> Iterator[Finding]:
@@ -331,6 +332,25 @@ def _fahrenheit(recording: Recording) -> Iterator[Finding]:
         f"{_UNIT_SAID.format(name='*', unit='degF')} in the map, where all of them are in degF"
     )
     yield _error(recording.temperature_names[int(column)], recording.rows_before + int(row) + 1, sentence)
+
+
+def _fahrenheit_among_others(recording: Recording) -> Iterator[Finding]:
+    """Yield temperatures that stay far above all others, and begin where the others do when they are degF."""
+    names, degc = recording.temperature_names[: recording.sensors], recording.temperatures_degc[:, : recording.sensors]
+    starts = np.array([column[np.isfinite(column)][:1].sum() for column in degc.T])
+    high = starts > WARMEST_START_DEGC
+    if not high.any() or len(starts) - high.sum() < max(FEWEST_LIKE, high.sum()):
+        return
+    low_degc, high_degc = float(starts[~high].min()), float(starts[~high].max())
+    for at in np.flatnonzero(high).tolist():
+        meant = (starts[at] - 32.0) / 1.8
+        likely = low_degc - LIKE_THE_OTHERS_K <= meant <= high_degc + LIKE_THE_OTHERS_K
+        if likely and high_degc - low_degc < UNLIKE_THE_OTHERS_K and np.nanmin(degc[:, at]) > WARMEST_START_DEGC:
+            sentence = (
+                "stays far above all others, and begins where they do if it is in degF: where it is, say "
+                f"{_UNIT_SAID.format(name=names[at], unit='degF')} in the map (of one recording alone: convert it)"
+            )
+            yield _warning(names[at], None, sentence)
 
 
 def _displacement_units(recording: Recording) -> Iterator[Finding]:

@@ -28,6 +28,7 @@ from models.thermal.training.fleet.fleet import (
     machine_type,
 )
 from models.thermal.training.fleet.machine_type import MachineType
+from models.thermal.training.fleet.odd_machines import exchanged_sensors, odd_machines, sentences
 from models.thermal.training.fleet.places import Part, places_of_type
 from models.thermal.training.fleet.products import Sample, Space, space_of
 from models.thermal.training.inputs import temperatures_alone
@@ -64,6 +65,8 @@ class FleetTraining:
     machine_type: MachineType
     summaries: tuple[Summary, ...]
     left_out: tuple[LeftOut, ...]
+    odd: dict[str, list[str]]
+    """What is said of machines that are otherwise than all others."""
 
 
 @contextmanager
@@ -166,10 +169,17 @@ def train_fleet(
         [(one, at in judged) for at, one in enumerate(described)],
         lambda done: progress("machines", done, len(described)),
     )
-    left_out = left_out_machines(summaries)
+    odd = odd_machines(summaries)
+    right = [one for one in summaries if one.machine not in odd]
+    left_out = left_out_machines(right)
     created = datetime.now(UTC).isoformat(timespec="seconds")
-    made = machine_type(type_id, created, of_type, common, space_of(samples), summaries, left_out)
-    return FleetTraining(machine_type=made, summaries=tuple(summaries), left_out=tuple(left_out))
+    made = machine_type(type_id, created, of_type, common, space_of(samples), right, left_out)
+    return FleetTraining(
+        machine_type=made,
+        summaries=tuple(summaries),
+        left_out=tuple(left_out),
+        odd=sentences(odd, exchanged_sensors(summaries), common),
+    )
 
 
 def describe(files: MachineFiles) -> Described:

@@ -12,16 +12,11 @@ from models.thermal.training.fleet.fleet import LeftOut
 
 WORSE = 1.1
 """Errors that grow to this times what they are without a model are told."""
-STRANGE = 2.0
-"""So many times the error that others leave, in the middle, a machine leaves of which the others know too little."""
-FEWEST_COMPARED = 5
-"""With fewer machines nobody knows which of them is strange."""
 
 
 def summary(result: FleetTraining, path: Path | None) -> dict[str, Any]:
     """Return what was learned, and how good it is on machines that were left out, for JSON."""
     made = result.machine_type
-    usual = usual_share(result.left_out)
     left_out = {
         one.machine: [each for each in result.left_out if each.machine == one.machine] for one in result.summaries
     }
@@ -42,7 +37,11 @@ def summary(result: FleetTraining, path: Path | None) -> dict[str, Any]:
                 "recordings": one.recordings,
                 "stale_recordings": one.stale,
                 "own_model": one.how,
-                "warnings": [*one.warnings, *contradictions(left_out[one.machine], made.channels, usual)],
+                "warnings": [
+                    *result.odd.get(one.machine, ()),
+                    *one.warnings,
+                    *contradictions(left_out[one.machine], made.channels),
+                ],
                 "left_out": [_left_out(each, made.channels) for each in left_out[one.machine]],
             }
             for one in result.summaries
@@ -51,13 +50,7 @@ def summary(result: FleetTraining, path: Path | None) -> dict[str, Any]:
     }
 
 
-def usual_share(left_out: Sequence[LeftOut]) -> float:
-    """Return what the mean of the others leaves of the error of a machine in the middle; with few machines inf."""
-    found = [left(one) for one in left_out if one.recordings == 0]
-    return float(np.median(found)) if len(found) >= FEWEST_COMPARED else float("inf")
-
-
-def contradictions(left_out: Sequence[LeftOut], channels: tuple[str, ...], usual: float) -> list[str]:
+def contradictions(left_out: Sequence[LeftOut], channels: tuple[str, ...]) -> list[str]:
     """Return a sentence where what the others know is of little use for a machine that was left out."""
     worse = [
         f"{name} {1.0 - left_um / without_um:.0%}"
@@ -67,16 +60,10 @@ def contradictions(left_out: Sequence[LeftOut], channels: tuple[str, ...], usual
         if left_um > WORSE * without_um > 0.0
     ]
     if not worse:
-        return [
-            f"what the other machines know leaves {left(one):.0%} of its error, and {usual:.0%} of a usual one's: "
-            "sensors or channels may be swapped, it may have changed between its recordings, or it is of another type: "
-            "look at it, train once without it, and see whether the others gain"
-            for one in left_out
-            if one.recordings == 0 and left(one) > STRANGE * usual
-        ]
+        return []
     return [
         f"what the other machines know makes it worse than nothing ({', '.join(worse)} of the error gone): channels "
-        "may be reversed or swapped, or it is of another type: train once without it, and see whether the others gain"
+        "may be swapped, or it is of another type: train once without it, and see whether the others gain"
     ]
 
 
@@ -99,11 +86,6 @@ def _left_out(one: LeftOut, channels: tuple[str, ...]) -> dict[str, Any]:
         },
         "taken_over": one.how,
     }
-
-
-def left(one: LeftOut) -> float:
-    """Return the share of the error that remains with what the others know."""
-    return 1.0 - reduction(one.without_um, one.with_prior_um)
 
 
 def reduction(without_um: FloatArray, left_um: FloatArray) -> float:

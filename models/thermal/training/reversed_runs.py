@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from models.records import FloatArray
-from models.thermal.features import BoolArray, IntArray
+from models.thermal.features import BoolArray
 from models.thermal.training.inputs import Inputs
 
 FEWEST_RUNS = 4
@@ -33,42 +33,42 @@ def reversed_runs(inputs: Inputs, rows: BoolArray) -> dict[int, tuple[str, ...]]
     runs = np.unique(inputs.run[rows])
     if len(runs) < FEWEST_RUNS:
         return {}
-    weights, covariances, directions = _left_out_ridges(inputs, rows, runs)
-    found: dict[int, tuple[str, ...]] = {}
-    for channel, name in enumerate(inputs.channels):
-        along = np.stack([inputs.cleansed_um[rows & (inputs.run == run), channel].var() for run in runs])
-        for place in _turned(weights, covariances, directions[:, :, channel], along):
-            found[int(runs[place])] = (*found.get(int(runs[place]), ()), name)
-    return found
-
-
-def _left_out_ridges(inputs: Inputs, rows: BoolArray, runs: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return, with every run weighing alike, inverses without each run, covariances of columns, and with displacements.
-
-    Result of shapes (n_penalties, n_runs, d, d), (n_runs, d, d) and (n_runs, d, n_channels).
-    """
     scale = np.maximum(inputs.degc[rows].std(axis=0), 1e-6)
-    xx, xy = [], []
+    xx, xy, yy = [], [], []
     for run in runs:
         part = rows & (inputs.run == run)
-        x = inputs.degc[part] / scale
-        y = inputs.cleansed_um[part]
+        x, y = inputs.degc[part] / scale, inputs.cleansed_um[part]
         x, y = x - x.mean(axis=0), y - y.mean(axis=0)
         xx.append(x.T @ x / len(x))
         xy.append(x.T @ y / len(x))
-    covariances, directions = np.stack(xx), np.stack(xy)
-    unit = float(np.trace(covariances.sum(axis=0))) / len(scale)
-    eye = np.eye(len(scale))
-    rest = covariances.sum(axis=0) - covariances
-    inverses = [np.linalg.inv(rest + penalty * unit * eye) for penalty in PENALTIES]
-    return np.stack(inverses), covariances, directions
+        yy.append(y.var(axis=0))
+    found = turned_runs(np.stack(xx), np.stack(xy), np.stack(yy))
+    return {int(runs[place]): tuple(inputs.channels[at] for at in channels) for place, channels in found.items()}
+
+
+def turned_runs(xx: FloatArray, xy: FloatArray, yy: FloatArray) -> dict[int, tuple[int, ...]]:
+    """Return the runs of which channels are to be turned round, by place, with the places of the channels.
+
+    Mean products about the mean of each run: `xx`, shape (n_runs, d, d), of what estimates, `xy`, shape
+    (n_runs, d, n_channels), and `yy`, shape (n_runs, n_channels), with displacements and of them.
+    """
+    found: dict[int, tuple[int, ...]] = {}
+    if len(yy) < FEWEST_RUNS:
+        return found
+    unit = float(np.trace(xx.sum(axis=0))) / xx.shape[1]
+    rest, eye = xx.sum(axis=0) - xx, np.eye(xx.shape[1])
+    inverses = np.stack([np.linalg.inv(rest + penalty * unit * eye) for penalty in PENALTIES])
+    for channel in range(yy.shape[1]):
+        for place in _turned(inverses, xx, xy[:, :, channel], yy[:, channel]):
+            found[place] = (*found.get(place, ()), channel)
+    return found
 
 
 def _turned(inverses: FloatArray, covariances: FloatArray, directions: FloatArray, along: FloatArray) -> list[int]:
     """Return the runs (indices) of which one channel is to be turned round.
 
-    `inverses` and `covariances`: see `_left_out_ridges`. `directions`, shape (n_runs, d): of the channel. `along`,
-    shape (n_runs,): its variance in each run.
+    `inverses`, shape (n_penalties, n_runs, d, d): without each run. `covariances`, `directions` and `along`: see
+    `turned_runs`, of the channel.
     """
     count = len(along)
     signs = np.ones(count)

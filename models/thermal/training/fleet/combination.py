@@ -41,10 +41,13 @@ FEWEST_EACH = 2
 """So many recordings must lie before a change, and after it ..."""
 FEWEST_IN_ALL = 5
 """... and there must be so many in all."""
+LEAST_LEFT = 1e-3
+"""Shares of the error below this tell nothing apart."""
 CHANGE_PENALTY = 1e-2
 """Of the ridges that look for a change."""
 BETTER = 0.7
-"""Without what came before, no more than this share of what is left of the error since the change may remain."""
+"""Apart, no more than this share of what is left of the error together may remain, before the change and since; the
+geometric mean over recordings, because one that goes where no other does must not decide."""
 
 Fitter = Callable[[Sequence[Products]], FloatArray]
 
@@ -152,8 +155,7 @@ def taken_over(products: Sequence[Products], members: FloatArray) -> Taken:
 def first_that_counts(products: Sequence[Products]) -> int:
     """Return the first recording of a machine as it is now; 0 where it has not changed.
 
-    It has changed where the recordings before and after are each predicted best by their own kind, and what came before
-    is of harm to what came after.
+    It has changed where the recordings before and after are each predicted best by their own kind.
     """
     count = len(products)
     if count < FEWEST_IN_ALL:
@@ -161,12 +163,17 @@ def first_that_counts(products: Sequence[Products]) -> int:
 
     def left(some: Sequence[Products]) -> FloatArray:
         """Return what a ridge on the others leaves of each recording, one after the other."""
-        return np.array([relative(one, ridge(_without(some, at), CHANGE_PENALTY)) for at, one in enumerate(some)])
+        found = [relative(one, ridge(_without(some, at), CHANGE_PENALTY)) for at, one in enumerate(some)]
+        return np.maximum(np.nan_to_num(found, nan=1.0), LEAST_LEFT)
 
     together = left(products)
-    apart = {at: np.append(left(products[:at]), left(products[at:])) for at in range(FEWEST_EACH, count - 1)}
-    place = min(apart, key=lambda at: float(np.square(apart[at]).sum()))
-    return place if apart[place][place:].mean() <= BETTER * together[place:].mean() else 0
+    ratios = {
+        at: np.log(np.append(left(products[:at]), left(products[at:])) / together)
+        for at in range(FEWEST_EACH, count - 1)
+    }
+    place = min(ratios, key=lambda at: float(ratios[at].sum()))
+    apart = max(ratios[place][:place].mean(), ratios[place][place:].mean())
+    return place if apart <= np.log(BETTER) else 0
 
 
 def weighed(products: Sequence[Products]) -> list[Products]:

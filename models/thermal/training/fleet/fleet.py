@@ -4,7 +4,7 @@ What needs rows (`machine_sample`, `machine_summary`) is done machine by machine
 (`machine_type`, `left_out_machines`) takes what they send back.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,11 +34,14 @@ from models.thermal.training.inputs import (
     unusable_sensors,
     with_sensors,
 )
+from models.thermal.training.reversed_runs import turned_runs
 from models.thermal.training.trust import half_width_um
 
 MOST_MEMBERS = 64
 """The models of so many machines are kept, and so many are left out in turn, evenly spread over a larger fleet."""
 FALLBACK_PENALTY = 1e-3
+ONE_SENSOR = 0.99
+"""A place that is read from one sensor by more than this share is that sensor's."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,6 +57,10 @@ class Tested:
     """What was measured there, shape (n, n_channels)."""
     recordings: int
     """How many the rest is."""
+    squares_k2: FloatArray
+    """Mean products of its temperatures, in the places of the type, about the means of recordings, shape (n, n)."""
+    columns: tuple[str, ...]
+    """What stands at each place; '' where a mean of several does."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -183,6 +190,8 @@ def machine_summary(
     kept, own, warnings = usable_parts(recordings, parts, sample_s)
     table = matching(of_type, own, machine)
     each: list[Products] = []
+    names: list[str] = []
+    squares: list[FloatArray] = []
     points: list[tuple[FloatArray, FloatArray]] = []
     lowest, highest, speed_rpm = np.full(len(of_type), np.inf), np.full(len(of_type), -np.inf), 0.0
     for recording in in_places(kept, table, channels, sample_s):
@@ -190,6 +199,8 @@ def machine_summary(
         if not rows.any():
             continue
         each.append(products_of(inputs, reduced, rows))
+        names.append(recording.name)
+        squares.append(np.cov(inputs.degc[rows].T, bias=True).reshape(len(of_type), len(of_type)).astype(np.float32))
         points.append(points_of(inputs, reduced, rows))
         lowest = np.minimum(lowest, inputs.degc[rows].min(axis=0))
         highest = np.maximum(highest, inputs.degc[rows].max(axis=0))
@@ -197,6 +208,10 @@ def machine_summary(
             speed_rpm = max(speed_rpm, float(np.abs(inputs.speed_rpm[rows]).max()))
     if not each:
         raise DatasetError(f"machine {machine}: no row of its recordings is complete; name complete columns in the map")
+    wrong = _turned(each)
+    said = _turned_sentences(wrong, names, channels)
+    right = [at for at in range(len(each)) if at not in wrong]
+    each, points = [each[at] for at in right], [points[at] for at in right]
     counted = weighed(each)
     own_model = own_ridge(counted)
     half = len(each) // 2
@@ -220,8 +235,29 @@ def machine_summary(
             points=np.vstack([x for x, _ in points[half:]]),
             points_um=np.vstack([y for _, y in points[half:]]),
             recordings=len(each) - half,
+            squares_k2=np.mean(squares, axis=0),
+            columns=tuple(
+                kept[0].temperature_names[int(np.argmax(row))] if row.max() > ONE_SENSOR else "" for row in table
+            ),
         ),
-        warnings=warnings,
+        warnings=(*said, *warnings),
+    )
+
+
+def _turned(each: Sequence[Products]) -> dict[int, tuple[int, ...]]:
+    """Return the recordings of a machine in which channels read the wrong way round, by what all others say."""
+    xx, xy, yy = ([getattr(one, name) / one.rows for one in each] for name in ("xx", "xy", "yy"))
+    return turned_runs(np.stack(xx), np.stack(xy), np.stack(yy))
+
+
+def _turned_sentences(
+    wrong: Mapping[int, tuple[int, ...]], names: Sequence[str], channels: tuple[str, ...]
+) -> tuple[str, ...]:
+    return tuple(
+        f"{names[at]}: {' and '.join(channels[one] for one in turned)} "
+        f"{'reads' if len(turned) == 1 else 'read'} the wrong way round, by what all its other recordings say; nothing "
+        "was learned from it. Look how its sensor was mounted, change the sign of the column, and train again"
+        for at, turned in wrong.items()
     )
 
 
