@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +11,8 @@ import structlog
 from config.schema import Configuration
 from daemon.estimation.inputs import NoPositions
 from daemon.history import HistoryError, HistoryReader
+from daemon.state_store.documents import CalendarOfBoot
+from daemon.state_store.store import StateStore
 from daemon.telemetry.metrics import give_memory_back
 from drivers.clock import Clock
 from models.quality import Quality
@@ -26,6 +29,12 @@ STEPPED_S = 2.0
 """The calendar was set where it differs by more from the monotonic clock than before [s]."""
 MATTERS_S = 60.0
 """What was read of the past is read again when the calendar was set by more [s]."""
+SOON_S = 900.0
+"""A calendar that is set so soon after the computer's start was wrong at it, as without a clock of its own; when one is
+set later, nobody knows which of the two was right."""
+NOWHERE_S = -1e12
+"""A calendar before all that a store holds."""
+BOOT = Path("/proc/sys/kernel/random/boot_id")
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,28 +50,40 @@ class _Span:
 class HistoryBackfill:
     """Reads one machine's store; times are the monotonic clock's."""
 
-    def __init__(self, configuration: Configuration, clock: Clock, positions: NoPositions) -> None:
-        """`positions`: those of the axes follow the temperatures of `means` [mm]."""
+    def __init__(
+        self, configuration: Configuration, clock: Clock, positions: NoPositions, documents: StateStore
+    ) -> None:
+        """`positions`: those of the axes follow the temperatures of `means` [mm]. `documents`: of the state."""
         self._store = configuration.history.path
         self._sensor_ids = configuration.temperatures.sensor_ids
         self._longest_s = configuration.compensation.reference.max_outage_s
         self._clock = clock
         self._positions = positions
-        now = clock.now()
-        self._calendar = [(now.monotonic_s, now.utc_s - now.monotonic_s)]
-        """From when on [s], and UTC minus the monotonic clock then [s]."""
+        self._documents, now = documents, clock.now()
+        self._boot = f"{BOOT.read_text('ascii').strip()} {now.real_s - now.monotonic_s / clock.speed:.0f}"
+        kept = documents.get(CalendarOfBoot)
+        self._calendar = [*kept.to_utc_s] if kept is not None and kept.boot == self._boot else []
+        """Since this computer's start, from when on [s], and UTC minus the monotonic clock then [s]."""
+        self._note_calendar()
+
+    def _note_calendar(self) -> float:
+        """Note how far the calendar is ahead of the monotonic clock; return by how much it was set [s]."""
+        now = self._clock.now()
+        to_utc_s = now.utc_s - now.monotonic_s
+        set_by_s = to_utc_s - self._calendar[-1][1] if self._calendar else np.inf
+        if abs(set_by_s) <= STEPPED_S:
+            return 0.0
+        self._calendar.append((now.monotonic_s, to_utc_s))
+        self._documents.put(CalendarOfBoot(boot=self._boot, to_utc_s=tuple(self._calendar)))
+        return set_by_s
 
     def calendar_set(self, memory_s: float) -> bool:
         """Whether the calendar was set since this was asked last, so that what was read was read at wrong times.
 
-        `memory_s`: how far back it is read; of the time since the start the order is known without the calendar.
+        `memory_s`: how far back it is read; since the computer's start the order is known without the calendar.
         """
-        now = self._clock.now()
-        before_s, to_utc_s = self._calendar[-1][1], now.utc_s - now.monotonic_s
-        if abs(to_utc_s - before_s) <= STEPPED_S:
-            return False
-        self._calendar.append((now.monotonic_s, to_utc_s))
-        return abs(to_utc_s - before_s) > MATTERS_S and now.monotonic_s - self._calendar[0][0] < memory_s
+        since_s = self._clock.now().monotonic_s - self._calendar[0][0]
+        return abs(self._note_calendar()) > MATTERS_S and since_s < memory_s
 
     def means(self, from_s: float, to_s: float, period_s: float) -> Iterator[tuple[float, FloatArray, float]]:
         """Yield time, temperatures [degC] and spindle speed [1/min] as means that end at each period's end."""
@@ -86,20 +107,21 @@ class HistoryBackfill:
         It reaches as far back as an outage may last after which a reference is taken up.
         """
         degc, at_s = np.full(len(self._sensor_ids), np.nan), np.full(len(self._sensor_ids), -np.inf)
-        now = self._clock.now()
+        end_s = now_s = self._clock.now().monotonic_s
         if not self._store.is_file():
             return degc, at_s
         try:
             with HistoryReader(self._store, also_on_full_disk=True) as reader:
-                until_s = now.utc_s
-                while not np.isfinite(degc).any() and now.utc_s - until_s < self._longest_s:
-                    found = reader.temperatures(self._sensor_ids, until_s - RECALL_S, until_s)
-                    good = found.quality == Quality.GOOD
-                    for column in np.flatnonzero(good.any(axis=0)):
-                        row = np.flatnonzero(good[:, column])[-1]
-                        degc[column] = found.degc[row, column]
-                        at_s[column] = found.time_s[row] - now.utc_s + now.monotonic_s
-                    until_s -= RECALL_S
+                while not np.isfinite(degc).any() and now_s - end_s < self._longest_s:
+                    for span, from_utc_s, to_utc_s in self._within(end_s - RECALL_S, end_s):
+                        found = reader.temperatures(self._sensor_ids, from_utc_s, to_utc_s)
+                        good = found.quality == Quality.GOOD
+                        good &= self._of(span, found.time_s, found.monotonic_s)[:, None]
+                        for column in np.flatnonzero(good.any(axis=0)):
+                            row = np.flatnonzero(good[:, column])[-1]
+                            degc[column] = found.degc[row, column]
+                            at_s[column] = found.time_s[row] - span.to_utc_s
+                    end_s -= RECALL_S
         except HistoryError as error:
             log.error("history.unreadable", problem=str(error))
         return degc, at_s
@@ -107,8 +129,7 @@ class HistoryBackfill:
     def _window(
         self, reader: HistoryReader, begin_s: float, end_s: float, period_s: float
     ) -> Iterator[tuple[float, FloatArray, float]]:
-        spans = [span for span in self._spans() if span.from_s < end_s and span.until_s > begin_s]
-        rows = (self._rows(reader, span, begin_s, end_s) for span in spans)
+        rows = (self._rows(reader, *within) for within in self._within(begin_s, end_s))
         at_s, degc, cnc_s, speed_rpm, positions = (np.concatenate(part) for part in zip(*rows, strict=True))
         for last_s in np.arange(begin_s + period_s, end_s + 1e-6, period_s):
             inside = (at_s > last_s - period_s) & (at_s <= last_s)
@@ -117,27 +138,34 @@ class HistoryBackfill:
             yield float(last_s), means, float(_mean_of_known(speed_rpm[polled, None])[0])
 
     def _spans(self) -> list[_Span]:
-        """Return when the calendar was which: of before this run what it is now, because who sets it sets it right."""
+        """Return when the calendar was which: of before the computer's start what it was soon after, if sure."""
         calendar = list(self._calendar)
         until_s = [since_s for since_s, _ in calendar[1:]] + [np.inf]
         own = [_Span(since_s, until, to_utc_s) for (since_s, to_utc_s), until in zip(calendar, until_s, strict=True)]
-        before = _Span(-np.inf, own[0].from_s, own[-1].to_utc_s)
+        soon_s = [to_utc_s for at_s, to_utc_s in calendar if at_s <= calendar[0][0] + SOON_S][-1]
+        sure = abs(soon_s - calendar[-1][1]) <= MATTERS_S
+        before = _Span(-np.inf, own[0].from_s, soon_s if sure else NOWHERE_S)
         return [before, *own] if len(own) > 1 else [replace(own[0], from_s=-np.inf)]
 
+    def _within(self, begin_s: float, end_s: float) -> Iterator[tuple[_Span, float, float]]:
+        """Yield what of two times [s] lies in which span, by its calendar [s], oldest first."""
+        for span in self._spans():
+            if span.from_s < end_s and span.until_s > begin_s:
+                yield span, max(begin_s, span.from_s) + span.to_utc_s, min(end_s, span.until_s) + span.to_utc_s
+
     def _rows(
-        self, reader: HistoryReader, span: _Span, begin_s: float, end_s: float
+        self, reader: HistoryReader, span: _Span, from_utc_s: float, to_utc_s: float
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return times [s] and temperatures [degC], times [s], speeds [1/min] and axis positions [mm] of a span."""
-        begin_s, end_s, to_utc_s = max(begin_s, span.from_s), min(end_s, span.until_s), span.to_utc_s
-        found = reader.temperatures(self._sensor_ids, begin_s + to_utc_s - LEAD_S, end_s + to_utc_s)
-        cnc = reader.cnc(begin_s + to_utc_s, end_s + to_utc_s)
-        of_cycles, of_cnc = self._of(span, found.time_s, found.monotonic_s), self._of(span, cnc.time_s, cnc.monotonic_s)
-        cnc_s, none = cnc.time_s[of_cnc] - to_utc_s, np.full(len(cnc.time_s), np.nan)
+        found = reader.temperatures(self._sensor_ids, from_utc_s - LEAD_S, to_utc_s)
+        cnc = reader.cnc(from_utc_s, to_utc_s)
+        of, of_cnc = self._of(span, found.time_s, found.monotonic_s), self._of(span, cnc.time_s, cnc.monotonic_s)
+        own = replace(found, time_s=found.time_s[of], degc=found.degc[of], quality=found.quality[of])
+        cnc_s, none = cnc.time_s[of_cnc] - span.to_utc_s, np.full(len(cnc.time_s), np.nan)
         names = self._positions.names
         told = [self._positions.believed(name, cnc_s, cnc.positions_mm.get(name, none)[of_cnc]) for name in names]
         positions = np.array(told).reshape(len(names), len(cnc_s)).T
-        at_s, degc = found.time_s[of_cycles] - to_utc_s, found.cleansed()[of_cycles]
-        return at_s, degc, cnc_s, cnc.spindle_speed_rpm[of_cnc], positions
+        return own.time_s - span.to_utc_s, own.cleansed(), cnc_s, cnc.spindle_speed_rpm[of_cnc], positions
 
     def _of(self, span: _Span, utc_s: FloatArray, monotonic_s: FloatArray) -> npt.NDArray[np.bool_]:
         """Tell which rows are of a span: those of another stand at the same calendar time where it was set back."""

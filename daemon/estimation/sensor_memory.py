@@ -247,7 +247,7 @@ class LevelMemory:
         self._store = StateStore(history, clock)
         self._sensor_ids = tuple(sensor_ids)
         self._clock = clock
-        self._kept = first_levels(len(self._sensor_ids))
+        self._kept, self._kept_to_utc_s = first_levels(len(self._sensor_ids)), self._to_utc_s()
         self._units = self._store.get(InOtherUnit) or InOtherUnit(units={}, degc={})
         self._inputs = self._store.get(InputsRead) or InputsRead(inputs={})
 
@@ -267,8 +267,10 @@ class LevelMemory:
             levels.shift_k is before.shift_k,
             levels.gaps is before.gaps,
             dict(levels.away_s) == dict(before.away_s),
+            abs(self._kept_to_utc_s - self._to_utc_s()) < 1.0,  # what is stored has its times by the calendar
         )
         if not all(same):
+            self._kept_to_utc_s = self._to_utc_s()
             self._store.put(self._document(levels))
 
     def excluded_before(self) -> dict[int, str]:

@@ -34,6 +34,7 @@ from daemon.messages import (
 )
 from daemon.rate_limit import RateLimit
 from daemon.snapshots import ThermalSnapshot
+from daemon.state_store.store import StateStore
 from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
 from models.align import RollingMean
@@ -95,7 +96,7 @@ class ThermalTask:
         self._speed = RollingMean(configuration.compensation.reference.mean_s)
         self._speed_at_s = self._taken_up_s = -np.inf
         self._positions = _open_positions(configuration)
-        self._past = HistoryBackfill(configuration, clock, self._positions)
+        self._past = HistoryBackfill(configuration, clock, self._positions, StateStore(history, clock))
         self._in_use = partial(_in_use, self._past, self._cleansing, temperatures, self._positions)
         self._online = self._in_use(model)
         self._next: ModelInUse | None = None  # waits for an estimate to go on from, or a reference

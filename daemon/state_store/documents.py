@@ -14,6 +14,15 @@ class DaemonAlive:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CalendarOfBoot:
+    """What the calendar was since this computer's start: a daemon that is restarted counts on by the other clock."""
+
+    boot: str
+    to_utc_s: tuple[tuple[float, ...], ...]
+    """From when on of the monotonic clock [s], and UTC minus that [s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class WantedAxes:
     """Which axes a person had switched on."""
 

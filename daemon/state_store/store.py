@@ -17,6 +17,7 @@ import structlog
 from daemon.history.intake import Commit
 from daemon.history.writer import HistoryWriter
 from daemon.state_store.documents import (
+    CalendarOfBoot,
     DaemonAlive,
     InOtherUnit,
     InputsRead,
@@ -38,6 +39,7 @@ FORMAT_VERSION = 2
 """Version of the documents; 0.1.0 wrote bare values without one."""
 KEYS: dict[type, str] = {
     DaemonAlive: "alive_utc_s",
+    CalendarOfBoot: "calendar",
     WantedAxes: "wanted",
     OutputFault: "fault",
     OwnOffsets: "own_offsets",

@@ -445,16 +445,85 @@ async def test_the_past_is_read_again_when_a_calendar_that_was_wrong_at_the_star
         np.testing.assert_allclose(shop.latest.thermal_error_um, twin.latest.thermal_error_um, atol=1.0)
 
 
-async def test_a_model_that_waits_reads_the_past_again_when_the_calendar_is_set(tmp_path, model):
+async def restarted(shop, minutes):
+    """The daemon starts again on the same computer, after so many minutes."""
+    await shop.end()
+    shop.clock.monotonic_s += 60.0 * minutes
+    shop.minute += minutes
+    shop.begin()
+    await shop.prepare()
+
+
+async def test_a_calendar_that_is_set_wrong_while_the_daemon_runs_moves_nothing(tmp_path, model):
+    """What the daemon before had recorded was read again, hours off: the order is known by the other clock."""
+    shops = []
+    for set_by_s in (0.0, -10800.0, 10800.0):
+        (tmp_path / f"{set_by_s:g}").mkdir()
+        shop = Shop(tmp_path / f"{set_by_s:g}", model)
+        await shop.prepare()
+        await shop.run(4 * 60)
+        await restarted(shop, 5)
+        await shop.run(10)
+        shop.clock.calendar_s += set_by_s
+        await shop.run(2)
+        await shop.history.flushed()
+        past = far_back(shop)
+        await restarted(shop, 5)
+        await shop.run(2)
+        await shop.refer()
+        await shop.run(30)
+        shops.append((shop, past, far_back(shop)))
+        await shop.end()
+    (twin, *right), *others = shops
+    for shop, *again in others:
+        for was, of_twin in zip(again, right, strict=True):
+            np.testing.assert_allclose(was[:-6], of_twin[:-6], equal_nan=True)
+        assert shop.latest.confidence == pytest.approx(twin.latest.confidence, abs=0.02)
+        np.testing.assert_allclose(shop.latest.thermal_error_um, twin.latest.thermal_error_um, atol=0.3)
+
+
+async def test_of_before_the_computer_s_start_nothing_is_known_once_the_calendar_was_set_long_after_it(
+    tmp_path, model, monkeypatch
+):
+    """Which of the two calendars was right nobody knows; one that is set at once was wrong until then."""
+    shop = Shop(tmp_path, model)
+    await shop.prepare()
+    await shop.run(120)
+    await shop.end()
+    started_anew(shop, tmp_path, monkeypatch)
+    await shop.prepare()
+    known = []
+    for minutes, set_by_s in ((5, 0.0), (0, 3600.0), (20, -1800.0), (2, 1800.0)):
+        await shop.run(minutes)
+        shop.clock.calendar_s += set_by_s
+        await shop.run(1)
+        await shop.history.flushed()
+        known.append(int(np.isfinite(far_back(shop)[:-40, 1]).sum()))
+    before, soon, unsure, again = known
+    assert before == again == pytest.approx(120, abs=3) and soon == pytest.approx(120, abs=3)
+    assert unsure == 0
+    await shop.end()
+
+
+def started_anew(shop, folder, monkeypatch, minutes=40.0):
+    """The computer is switched off and on again after so many minutes, and its other clock begins anew."""
+    monkeypatch.setattr("daemon.estimation.rebuild.BOOT", folder / "boot_id")
+    (folder / "boot_id").write_text("another\n")
+    utc_s = shop.clock.now().utc_s + 60.0 * minutes
+    shop.clock.monotonic_s = 100.0
+    shop.clock.calendar_s = utc_s - 100.0
+    shop.minute += minutes
+    shop.begin()
+
+
+async def test_a_model_that_waits_reads_the_past_again_when_the_calendar_is_set(tmp_path, model, monkeypatch):
     """The one in use has no lags, and nothing of its past to read again."""
     shop = Shop(tmp_path, increments())
     await shop.prepare()
     await shop.run(60)
     await shop.end()
-    shop.clock.monotonic_s += 600.0
-    shop.minute += 10.0
+    started_anew(shop, tmp_path, monkeypatch, 10.0)
     shop.clock.calendar_s -= 24000.0
-    shop.begin()
     await shop.prepare()
     await shop.run(3)
     await shop.refer()
