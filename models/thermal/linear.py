@@ -31,6 +31,8 @@ from models.thermal.rebase import StateReference, estimate_since, rebased, resum
 from models.thermal.watch import MISSING
 
 FAMILY = "linear"
+AGREES_MIN, AGREES_K, AGREES_UM = 30.0, 0.5, 0.5
+"""For so long a sensor that slewed must be as the others expect it, and be worth so little, to count again."""
 
 
 class LinearOnline:
@@ -53,6 +55,7 @@ class LinearOnline:
         self._anew: set[int] = set()
         self._left_out: dict[int, str] = {}
         self._wrong: set[int] = set()
+        self._agrees_min: dict[int, float] = {}
         self._speed_rpm = float("nan")
         self._excluded: tuple[int, ...] = ()
         self._latest: ModelState | None = None
@@ -93,7 +96,32 @@ class LinearOnline:
             if np.isfinite(now).any():
                 self._state = self._estimator.begin(time_min, now, speed_rpm)
         elif time_min - self._state.time_min >= self.model.period_min:
-            self._state = self._estimator.advance(self._state, time_min, now, speed_rpm, bridged=True)
+            self._state = self._agreeing(self._estimator.advance(self._state, time_min, now, speed_rpm, bridged=True))
+
+    def _agreeing(self, state: ModelState) -> ModelState:
+        """Return the state in which sensors count again that slewed, but say for long what the others expect of them.
+
+        The air at a door falls faster than it ever did in training, and is itself again when the door is shut.
+        """
+        faults = () if self._reference is None or state.watch is None else state.watch.faults
+        slewed, now_min = [fault.sensor for fault in faults if fault.sign == "slew"], state.time_min
+        self._agrees_min = {i: self._agrees_min.get(i, now_min) for i in slewed if self._agrees(state, i)}
+        again = [i for i, since_min in self._agrees_min.items() if now_min - since_min >= AGREES_MIN]
+        return self._estimator.reinitialised(readmitted(state, again), again) if again else state
+
+    def _agrees(self, state: ModelState, sensor: int) -> bool:
+        """Tell whether a sensor that does not count says now, with its lags, what it is taken for."""
+        assert self._reference is not None
+        then, left_out = self._reference.state, self._estimator.left_out
+        without, change = (
+            excluded_sensors(state, then),
+            self._estimator.features(state) - self._estimator.features(then),
+        )
+        if state.missing[sensor] or abs((change - left_out.imputed(change, without))[sensor]) > AGREES_K:
+            return False
+        counted = excluded_sensors(readmitted(state, [sensor]), then)
+        moved_um = change @ (left_out.coefficients(counted) - left_out.coefficients(without))
+        return bool(np.abs(moved_um).max() <= AGREES_UM)
 
     def jumped(self, jump_k: FloatArray) -> None:
         """Take that inputs count at other levels from now on [K]: their lags are where they would always have been."""

@@ -279,3 +279,23 @@ def test_a_sensor_that_a_reference_holds_is_not_set_anew_when_it_is_taken_up(mod
     found, anew, unsure_um = taken_up(model, gone_at_reference=True)
     assert not any(anew) and unsure_um == 0.0
     np.testing.assert_allclose(found, as_held, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("off_k", "again"), [(0.0, True), (-0.8, False), (-4.0, False)], ids=["itself", "nearly", "not at all"]
+)
+def test_a_sensor_that_slewed_counts_again_once_it_says_what_the_others_expect(
+    model: LinearModel, off_k: float, again: bool
+) -> None:
+    """In the air of a door that was open for some minutes it was out for the rest of the run."""
+    run, online = Run.of, model.runtime(Machine(components={}))
+    assert run.speed_rpm is not None
+    for minute in range(200, REFERENCE + 70):
+        degc = run.temperatures_degc[minute].copy()
+        degc[1] += 0.0 if minute < REFERENCE + 20 else -4.0 if minute < REFERENCE + 24 else off_k
+        online.on_sample(float(minute), degc, float(run.speed_rpm[minute]))
+        if minute == REFERENCE:
+            online.set_reference(OnlineReference(time_min=minute, now_min=minute, degc=degc))
+        if minute in (REFERENCE + 22, REFERENCE + 45):
+            assert online.excluded == {model.sensor_ids[1]: "slew"}
+    assert online.excluded == ({} if again else {model.sensor_ids[1]: "slew"})
