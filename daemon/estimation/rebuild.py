@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -34,7 +33,6 @@ SOON_S = 900.0
 set later, nobody knows which of the two was right."""
 NOWHERE_S = -1e12
 """A calendar before all that a store holds."""
-BOOT = Path("/proc/sys/kernel/random/boot_id")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +58,10 @@ class HistoryBackfill:
         self._clock = clock
         self._positions = positions
         self._documents, now = documents, clock.now()
-        self._boot = f"{BOOT.read_text('ascii').strip()} {now.real_s - now.monotonic_s / clock.speed:.0f}"
         kept = documents.get(CalendarOfBoot)
-        self._calendar = [*kept.to_utc_s] if kept is not None and kept.boot == self._boot else []
+        at_s, to_utc_s = (np.inf, 0.0) if kept is None else kept.to_utc_s[-1]
+        goes_on = at_s <= now.monotonic_s and abs(now.utc_s - now.monotonic_s - to_utc_s) <= STEPPED_S
+        self._calendar = [*kept.to_utc_s] if kept is not None and goes_on else []
         """Since this computer's start, from when on [s], and UTC minus the monotonic clock then [s]."""
         self._note_calendar()
 
@@ -74,7 +73,7 @@ class HistoryBackfill:
         if abs(set_by_s) <= STEPPED_S:
             return 0.0
         self._calendar.append((now.monotonic_s, to_utc_s))
-        self._documents.put(CalendarOfBoot(boot=self._boot, to_utc_s=tuple(self._calendar)))
+        self._documents.put(CalendarOfBoot(to_utc_s=tuple(self._calendar)))
         return set_by_s
 
     def calendar_set(self, memory_s: float) -> bool:

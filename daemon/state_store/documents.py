@@ -17,7 +17,6 @@ class DaemonAlive:
 class CalendarOfBoot:
     """What the calendar was since this computer's start: a daemon that is restarted counts on by the other clock."""
 
-    boot: str
     to_utc_s: tuple[tuple[float, ...], ...]
     """From when on of the monotonic clock [s], and UTC minus that [s]."""
 

@@ -482,15 +482,13 @@ async def test_a_calendar_that_is_set_wrong_while_the_daemon_runs_moves_nothing(
         np.testing.assert_allclose(shop.latest.thermal_error_um, twin.latest.thermal_error_um, atol=0.3)
 
 
-async def test_of_before_the_computer_s_start_nothing_is_known_once_the_calendar_was_set_long_after_it(
-    tmp_path, model, monkeypatch
-):
+async def test_of_before_the_computer_s_start_nothing_is_known_once_the_calendar_was_set_long_after_it(tmp_path, model):
     """Which of the two calendars was right nobody knows; one that is set at once was wrong until then."""
     shop = Shop(tmp_path, model)
     await shop.prepare()
     await shop.run(120)
     await shop.end()
-    started_anew(shop, tmp_path, monkeypatch)
+    started_anew(shop)
     await shop.prepare()
     known = []
     for minutes, set_by_s in ((5, 0.0), (0, 3600.0), (20, -1800.0), (2, 1800.0)):
@@ -505,10 +503,8 @@ async def test_of_before_the_computer_s_start_nothing_is_known_once_the_calendar
     await shop.end()
 
 
-def started_anew(shop, folder, monkeypatch, minutes=40.0):
+def started_anew(shop, minutes=40.0):
     """The computer is switched off and on again after so many minutes, and its other clock begins anew."""
-    monkeypatch.setattr("daemon.estimation.rebuild.BOOT", folder / "boot_id")
-    (folder / "boot_id").write_text("another\n")
     utc_s = shop.clock.now().utc_s + 60.0 * minutes
     shop.clock.monotonic_s = 100.0
     shop.clock.calendar_s = utc_s - 100.0
@@ -516,13 +512,13 @@ def started_anew(shop, folder, monkeypatch, minutes=40.0):
     shop.begin()
 
 
-async def test_a_model_that_waits_reads_the_past_again_when_the_calendar_is_set(tmp_path, model, monkeypatch):
+async def test_a_model_that_waits_reads_the_past_again_when_the_calendar_is_set(tmp_path, model):
     """The one in use has no lags, and nothing of its past to read again."""
     shop = Shop(tmp_path, increments())
     await shop.prepare()
     await shop.run(60)
     await shop.end()
-    started_anew(shop, tmp_path, monkeypatch, 10.0)
+    started_anew(shop, 10.0)
     shop.clock.calendar_s -= 24000.0
     await shop.prepare()
     await shop.run(3)
