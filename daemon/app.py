@@ -25,7 +25,7 @@ from daemon.compensation.snapshot import control_snapshot, output_actions
 from daemon.compensation.task import ControlTask
 from daemon.compensation.temperature_macro import TemperatureMacro
 from daemon.estimation.inputs import Message, ThermalInbox, poll_of
-from daemon.estimation.task import ThermalTask
+from daemon.estimation.task import ThermalTask, thermal_snapshot
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.housekeeping.jobs import job_snapshots, scheduled_jobs
@@ -238,7 +238,7 @@ class Daemon:
 
     def _first_snapshots(self) -> SnapshotBoard:
         """Return the board as it is before anything runs."""
-        board = SnapshotBoard(control=control_snapshot(self.control), thermal=self.thermal.snapshot())
+        board = SnapshotBoard(control=control_snapshot(self.control), thermal=thermal_snapshot(self.thermal))
         board.spindle_speed = self.spindle_speed.snapshot()
         board.model = self._loaded.snapshot()
         return board
@@ -351,7 +351,7 @@ class Daemon:
         return refusal
 
     def _publish_thermal(self) -> None:
-        self.snapshots.thermal = self.thermal.snapshot()
+        self.snapshots.thermal = thermal_snapshot(self.thermal)
 
     def _publish_model(self, snapshot: ModelSnapshot) -> None:
         self.snapshots.model = snapshot

@@ -80,8 +80,7 @@ class ThermalTask:
     ) -> None:
         temperatures = configuration.temperatures
         self._clock, self._history, self._telemetry = clock, history, telemetry
-        self._deliver = deliver
-        self._on_change = on_change
+        self._deliver, self._on_change = deliver, on_change
         self._temperature_is_shown = configuration.cnc.temperature_macro is not None or (
             configuration.spindle_speed is not None
         )
@@ -118,21 +117,6 @@ class ThermalTask:
     def usable(self) -> int:
         """How many sensors have a value that may be used."""
         return 0 if self.latest is None else int(np.isfinite(self.latest.degc).sum())
-
-    def snapshot(self) -> ThermalSnapshot:
-        """Return what has arrived and what is estimated now."""
-        online, following = self._online, self._next
-        waits = f"{following.model.model_id} makes no estimates yet: {following.waits}" if following is not None else ""
-        return ThermalSnapshot(
-            temperatures=self.latest,
-            estimate=self.latest_estimate,
-            line_faults=MappingProxyType(dict(self.line_faults)),
-            cycles_received=self.cycles_received,
-            cycles_incomplete=self.cycles_incomplete,
-            estimates=self.estimates,
-            model_waits=waits,
-            contributions=online.contributions() if online is not None and self.latest_estimate is not None else None,
-        )
 
     async def run(self) -> None:
         """Serve the inbox for ever."""
@@ -330,6 +314,22 @@ class ThermalTask:
             self._deliver(first)
             if (changed := self._since.changed()) is not None:
                 self._deliver(changed)
+
+
+def thermal_snapshot(thermal: ThermalTask) -> ThermalSnapshot:
+    """Return what has arrived and what is estimated now."""
+    online, following = thermal._online, thermal._next
+    waits = f"{following.model.model_id} makes no estimates yet: {following.waits}" if following is not None else ""
+    return ThermalSnapshot(
+        temperatures=thermal.latest,
+        estimate=thermal.latest_estimate,
+        line_faults=MappingProxyType(dict(thermal.line_faults)),
+        cycles_received=thermal.cycles_received,
+        cycles_incomplete=thermal.cycles_incomplete,
+        estimates=thermal.estimates,
+        model_waits=waits,
+        contributions=online.contributions() if online is not None and thermal.latest_estimate is not None else None,
+    )
 
 
 def _in_use(

@@ -10,7 +10,7 @@ import pytest
 from control_rig import EPOCH_S
 from monitor_bench import monitor
 
-from daemon.estimation.task import ThermalTask
+from daemon.estimation.task import ThermalTask, thermal_snapshot
 from daemon.monitor.web.estimate import estimate_document
 from daemon.snapshots import Contributions, LinkSnapshot
 from models.quality import Quality, Reason
@@ -39,7 +39,7 @@ async def bench(tmp_path):
                     trace=Trace(first_byte=now, last_byte=now),
                 )
             )
-        rig.snapshots.thermal = thermal.snapshot()
+        rig.snapshots.thermal = thermal_snapshot(thermal)
         await rig.history.flushed()
         yield bench
 

@@ -8,7 +8,7 @@ import pytest
 from control_rig import HandClock, Rig, machine, record_for, running
 from memory_cnc import MemoryNc
 
-from daemon.estimation.task import ThermalTask
+from daemon.estimation.task import ThermalTask, thermal_snapshot
 from daemon.monitor.control_socket import RequestError
 from daemon.monitor.status import StatusBoard
 from daemon.snapshots import HistorySnapshot
@@ -76,7 +76,7 @@ async def test_everything_at_once(board):
                 trace=Trace(first_byte=now, last_byte=now),
             )
         )
-    rig.snapshots.thermal = thermal.snapshot()
+    rig.snapshots.thermal = thermal_snapshot(thermal)
     rig.snapshots.links = (rig.link.health.snapshot(),)
     rig.snapshots.history = HistorySnapshot(acknowledged={"spindle": 1})
     picture = strict(board.picture())

@@ -8,6 +8,7 @@ import structlog
 from control_rig import machine
 from thermal_rig import Task, model
 
+from daemon.estimation.task import thermal_snapshot
 from daemon.history import HistoryReader
 from daemon.messages import ReferenceEnded, ReferenceRebased, ReferenceRefused, ReferenceTakenUp
 from models.quality import Quality, Reason
@@ -342,10 +343,10 @@ async def test_a_model_released_while_sensors_come_and_go_waits(task):
     await task.minutes(4, spindle=None, column=None)
     await task.minutes(0.5, spindle=None, column=20.0)
     assert {one.model_id for one in task.estimates} == {"made-up"}, "it waits"
-    waits = task.task.snapshot().model_waits
+    waits = thermal_snapshot(task.task).model_waits
     assert waits.startswith("next makes no estimates yet: ") and not waits.endswith(": "), "and a person can read why"
     await task.minutes(12, spindle=21.3)
-    assert task.estimates[-1].model_id == "next" and task.task.snapshot().model_waits == ""
+    assert task.estimates[-1].model_id == "next" and thermal_snapshot(task.task).model_waits == ""
     before = next(one for one in reversed(task.estimates) if one.model_id == "made-up")
     after = next(one for one in task.estimates if one.model_id == "next")
     assert before.imputed == after.imputed == ()
