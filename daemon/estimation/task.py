@@ -263,8 +263,8 @@ class ThermalTask:
             self._reference = counted
             self._deliver(ReferenceRebased(reference=counted))
         reference, model, um_per_k = counted, online.model, self._tool_um_per_k
-        unsure = self._cleansing.withheld(degc, outcome.share, online.excluded)
-        unsure = unsure or self._since.wrong_in_tool(degc, um_per_k)
+        unsure = self._since.wrong_in_tool(degc, um_per_k)
+        unsure = unsure or self._cleansing.withheld(degc, outcome.share, online.excluded)
         unsure = unsure or _unsure(outcome, online, self._cleansing.levels.uncertainty_k, um_per_k, self._sensor_ids)
         of_positions, untrusted = self._positions.trust(model, clock_s, outcome.imputed)
         unsure, confidence = unsure or untrusted, outcome.confidence * of_positions
@@ -276,7 +276,7 @@ class ThermalTask:
             thermal_error_um=goes_on_um,
             band_um=model.band_um * outcome.band_factor,
             label_degc=_label_means(self._labels, degc),
-            label_increment_degc=self._since.label_increments(degc, now_s / 60.0),
+            label_increment_degc=self._believed(self._since.label_increments(degc, now_s / 60.0)),
             in_domain=outcome.in_domain,
             confidence=0.0 if unsure else confidence,
             imputed=tuple(outcome.imputed),
@@ -290,6 +290,12 @@ class ThermalTask:
             trace=replace(temperatures.trace, estimated=self._clock.now()),
             probe_wander=_probe_wander(model),
         )
+
+    def _believed(self, increments_k: dict[str, float]) -> dict[str, float]:
+        """Return the labels' increments without those of labels whose sensors' levels are in doubt."""
+        if not (um := np.abs(self._cleansing.levels.uncertainty_k) * self._tool_um_per_k).any():
+            return increments_k
+        return {label: k for label, k in increments_k.items() if um[self._labels[label]].sum() <= UNSURE_UM}
 
     def _set_reference(self, request: ReferenceRequest) -> None:
         now = self._clock.now()

@@ -251,3 +251,16 @@ async def test_what_a_person_trusts_is_not_doubted_again_by_a_reference_that_is_
     await task.minutes(1, spindle=[24.0, 20.0, 20.0])
     assert task.estimates[-1].reference_id == "r1" and task.estimates[-1].inhibit == ""
     task.history.close()
+
+
+async def test_the_label_of_a_tool_has_no_value_while_the_level_of_its_sensor_is_in_doubt(task):
+    """A tool that came meanwhile began at the wrong level: once the sensor was itself again, it was 1.5 um off."""
+    await task.minutes(2)
+    await task.ask()
+    await task.minutes(2)
+    task.task._tool_um_per_k = np.full(len(SENSOR_IDS), 0.4)
+    await task.minutes(3, spindle=[24.0, 20.0, 20.0])
+    assert task.estimates[-1].confidence == 0.0 and task.estimates[-1].label_increment_degc == {}
+    await task.minutes(3)
+    assert task.estimates[-1].confidence == 1.0
+    assert task.estimates[-1].label_increment_degc == {"A": pytest.approx(0.0, abs=0.01)}
