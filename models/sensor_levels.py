@@ -34,12 +34,6 @@ CHANGES_KEPT, OF_EACH = 200, 4
 GAPS_KEPT = 100
 JUST_S = 1e-3
 """A sensor was right until so long before its jump [s]."""
-TOGETHER_S = 120.0
-"""What jumps so soon after another may have one cause with it, as coolant or air [s] ..."""
-LASTS_S = 180.0
-"""... and is believed when none of them has jumped back for so long [s]."""
-ALIKE = 1.0 / 3.0
-"""Of two that change for one reason the one changes by at least this share of the other."""
 UNKNOWN_K = 1e3
 """Stands for an error that nobody knows: more than any sensor is wrong by [K]."""
 
@@ -227,51 +221,6 @@ def unshifted(
         shift_k = shift_k.copy()
         shift_k[inside] = np.nan
     return degc - shift_k
-
-
-def in_common(change_k: FloatArray, jumped: BoolArray, inputs: GroupArray) -> BoolArray:
-    """Return which jumps have a cause outside the sensors: another one jumps the same way, and none the other.
-
-    A fault is of one sensor, or of all that hang on one input: those vouch for nobody.
-
-    `change_k`: of each sensor within the same time [K], NaN where it is not known. `jumped`: which of them have.
-    `inputs`: number of the line or source of each.
-    """
-    found, sign = np.zeros(len(change_k), dtype=np.bool_), np.sign(change_k[jumped])
-    if len(sign) < 2 or np.any(sign != sign[0]):
-        return found
-    count = np.bincount(inputs, np.isfinite(change_k))
-    for index in np.flatnonzero(jumped):
-        alike = np.nan_to_num(change_k) * sign[0] >= ALIKE * abs(change_k[index])
-        whole = (np.bincount(inputs, alike, len(count)) == count) & (count >= LEAST_BESIDE)
-        alike &= jumped & ~whole[inputs]
-        found[index] = alike.sum() > alike[index]
-    return found
-
-
-def explained(levels: SensorLevels, inputs: GroupArray, now_s: float) -> SensorLevels:
-    """Return the levels without doubts about sensors that jumped together and have stayed there: they were cooled so.
-
-    `inputs`: number of the line or source of each sensor. `now_s`: time of the latest cycle [s].
-    """
-    old_s = [at_s for at_s, *_ in levels.jumps if LASTS_S <= now_s - at_s <= 2.0 * TREND_S - TOGETHER_S]
-    if len(old_s) < 2:
-        return levels
-    together = [each for each in levels.jumps if old_s[-1] - TOGETHER_S <= each[0] <= old_s[-1]]
-    before = [degc for at_s, degc in levels.recent if at_s < together[0][0]]
-    after = [degc for at_s, degc in levels.recent if at_s >= old_s[-1]]
-    if not before or not after:
-        return levels
-    jump_k = np.zeros(len(levels.degc))
-    for _, index, by_k in together:
-        jump_k[index] += by_k
-    jumped = (np.abs(levels.uncertainty_k - jump_k) <= OWN_K) & (np.abs(jump_k) > OWN_K) & (levels.shift_k == 0.0)
-    jumped[[*levels.left, *levels.away_s]] = False
-    common = in_common(after[0] - before[-1] + jump_k, jumped, inputs)  # without jumps, what is recent is told as now
-    if not common.any():
-        return levels
-    jumps = tuple(each for each in levels.jumps if each not in together or not common[each[1]])
-    return replace(levels, jumps=jumps, uncertainty_k=np.where(common, 0.0, levels.uncertainty_k))
 
 
 def with_gap(levels: SensorLevels, from_s: float, to_s: float, sensors: GroupArray) -> SensorLevels:

@@ -31,7 +31,6 @@ from models.sensor_levels import (
     SensorLevels,
     counted_again,
     doubted,
-    explained,
     first_levels,
     gone_on,
     jumped_k,
@@ -103,9 +102,9 @@ class Cleansing:
         self.units, self.memory = UnitWatch(temperatures, of_inputs), MemoryWatch(of_inputs, clock)
         self._fast, self._sensor_ids = FastInputs(), temperatures.sensor_ids
         self._step_k = np.array([temperatures.steps_k[each] for each in self._sensor_ids])
-        self._period_s, self._input_of = np.zeros(len(position)), np.zeros(len(position), dtype=np.intp)
-        for number, (indices, period_s) in enumerate(self._lines.values()):
-            self._period_s[indices], self._input_of[indices] = period_s, number
+        self._period_s = np.zeros(len(position))
+        for indices, period_s in self._lines.values():
+            self._period_s[indices] = period_s
         self._rules = CleansingRules(**temperatures.cleansing.model_dump())
         self._rules_of = {each.name: rules_of_period(self._rules, each.cycle_period_s) for each in temperatures.inputs}
         self._stale_s = np.maximum(self._rules.stale_after_s, HELD_PERIODS * self._period_s)
@@ -299,8 +298,7 @@ class Cleansing:
         if self.jumped_k is not None or again:
             self._mean.leave_out(themselves if self.jumped_k is None else themselves | (self.jumped_k != 0.0))
         self._goes_on(cycle.line, were, result.quality, now_s)
-        found, self.levels = self.levels, explained(self.levels, self._input_of, now_s)
-        self.gap_ended |= bool(again) or found is not self.levels
+        self.gap_ended |= bool(again)
         self._mean.add(now_s, degc - self.levels.shift_k)
         self.latest = MachineTemperatures(
             line=cycle.line,

@@ -281,49 +281,6 @@ async def test_a_whole_line_that_jumps_although_it_was_heard_all_the_time_is_dou
     assert task.estimates[-1].confidence == 1.0 and task.estimates[-1].thermal_error_um == pytest.approx([0.0])
 
 
-COOLED = {"spindle": [17.0, 18.0, 20.0], "column": [17.5, 20.0]}
-
-
-async def test_coolant_that_cools_several_sensors_at_once_is_followed_after_three_minutes(task):
-    """It looked like sensors that come off until the work was positioned again."""
-    await task.minutes(5)
-    await task.ask()
-    await task.minutes(2, **COOLED)
-    assert task.estimates[-1].confidence == 0.0 and "the level of sensor" in task.estimates[-1].inhibit
-    await task.minutes(2.5, **COOLED)
-    assert task.estimates[-1].confidence == 1.0 and not task.estimates[-1].inhibit
-    assert task.estimates[-1].thermal_error_um == pytest.approx(-2.0 * 3.0 - 2.5, abs=0.1)
-    await task.minutes(0.5)
-    assert task.estimates[-1].confidence == 0.0, "and when it ends"
-    await task.minutes(4)
-    assert task.estimates[-1].confidence == 1.0 and task.estimates[-1].thermal_error_um == pytest.approx(0.0, abs=0.1)
-
-
-@pytest.mark.parametrize(
-    "jumped",
-    [
-        {"spindle": [17.0, 20.0, 20.0]},
-        {"spindle": [17.0, 17.0, 17.0]},
-        {"spindle": [17.0, 17.0, 17.0], "column": [17.0, 17.0]},
-        {"spindle": [17.0, 20.0, 20.0], "column": [23.0, 20.0]},
-    ],
-    ids=["one", "a whole line", "both lines", "two ways"],
-)
-async def test_what_no_coolant_does_stays_in_doubt(task, jumped):
-    await task.minutes(5)
-    await task.ask()
-    await task.minutes(8, **jumped)
-    assert task.estimates[-1].confidence == 0.0 and "the level of sensor" in task.estimates[-1].inhibit
-
-
-async def test_two_that_jump_together_and_one_back_stay_in_doubt(task):
-    await task.minutes(5)
-    await task.ask()
-    await task.minutes(2, spindle=[17.0, 17.5, 20.0])
-    await task.minutes(8, spindle=[17.0, 20.0, 20.0])
-    assert task.estimates[-1].confidence == 0.0 and "the level of sensor 1" in task.estimates[-1].inhibit
-
-
 async def test_a_sensor_that_was_missing_at_the_reference_does_not_count_from_a_doubted_level(task):
     await task.minutes(2)
     await task.minutes(2, spindle=[np.nan, 20.0, 20.0])
