@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, settings
 
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")
+os.environ["TOOLPOINT_SIGNING_KEY"] = "/no/key/of/whoever/runs/the/tests"
 
 HARDSHIPS = "tests/system/test_hardships.py::test_nothing_acknowledged_is_lost_and_what_must_hold_holds"
 LONGEST_FIRST = (

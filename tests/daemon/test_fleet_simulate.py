@@ -72,7 +72,7 @@ def test_the_command_says_what_arrived(server: Server, tmp_path: Path) -> None:
     [
         ("host=127.0.0.1 port=1 user=nobody", "--postgres: "),
         ("host=db sslmode=require", "give disable or verify-full"),
-        ("no such thing", "--postgres: "),
+        ("no such thing", "give a DSN such as postgresql://"),
         ("host=127.0.0.1,127.0.0.2 port=1,2", "--postgres: port=1,2: give the port of one server"),
         ("postgresql://anna@db:http/plant", "--postgres: port=http: give the port of one server"),
         ("host=db port=99999", "--postgres: port: "),

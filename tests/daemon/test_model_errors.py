@@ -169,8 +169,20 @@ def test_the_command_says_it_and_ends_with_1_when_the_model_in_force_is_worn(tmp
     assert done.exit_code == 0, done.output
     (found,) = json.loads(done.stdout)["models"]
     assert found["axis"] == "z" and found["drift"]["bound"] == 0.9 and not found["retrain"]
+    late_s = start_s + 200 * DAY_S
+    writer = HistoryWriter(
+        configuration.history.path,
+        clock=make.StillClock(late_s),
+        machine=MachineLayout.from_configuration(configuration),
+    )
+    writer.start()
+    writer.cnc_sample(make.cnc_sample(late_s))
+    writer.close()
     done = CliRunner().invoke(main, ["model", "drift", "--config", str(path), "--last", "2d"])
     assert done.exit_code == 0 and "nothing to judge by" in done.output
+    fill(configuration, start_s + 1000 * DAY_S, 60, lambda day: 0.1, model_id="m2", on=False)
+    done = CliRunner().invoke(main, ["model", "drift", "--config", str(path), "--last", "90d"])
+    assert "model m2: 120 probe values" in done.output, "the store of a replay is of another time"
 
 
 def test_an_alarm_names_the_axis_whose_model_wears_out_and_ends_with_another_model(tmp_path: Path) -> None:

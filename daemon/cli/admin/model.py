@@ -202,7 +202,7 @@ def propose(config_path: Path, json_path: str | None) -> None:
 
 @model.command()
 @config_option
-@option("--last", "last_s", callback=duration, default="400d", help="How far back to look.")
+@option("--last", "last_s", callback=duration, default="400d", help="How far back from the newest record to look.")
 @option("--bound", type=POSITIVE, help="Share of the error that may be left. Without: what loses a fifth of its worth.")
 @json_option
 def drift(config_path: Path, last_s: float, bound: float | None, json_path: str | None) -> None:
@@ -215,11 +215,14 @@ def drift(config_path: Path, last_s: float, bound: float | None, json_path: str 
     from daemon.model_release.past_recordings import commissioned_um_per_unit
     from models.json_values import plain
 
-    configuration, now_s = read_configuration(config_path), time.time()
+    configuration = read_configuration(config_path)
     units = commissioned_um_per_unit(configuration)
     unjudged: Counter[tuple[str, str]] = Counter()
     with HistoryReader(configuration.history.path) as reader:
-        span_s = {"from_utc_s": now_s - last_s, "to_utc_s": now_s}
+        extents = [each for each in map(reader.extent, ("temperatures", "cnc", "probes")) if each is not None]
+        newest_s = max((last for _, last in extents), default=time.time())  # a replay's store is of another time
+        until_s = newest_s + 1.0
+        span_s = {"from_utc_s": until_s - last_s, "to_utc_s": until_s}
         errors = measured_errors(configuration, reader, units, **span_s, unjudged=unjudged)
     least_um = configuration.compensation.output.harm_above_um
     found = drift_document(errors, bound=bound, least_error_um=least_um)
@@ -240,7 +243,7 @@ def drift(config_path: Path, last_s: float, bound: float | None, json_path: str 
 
 
 def _weeks(count: int) -> str:
-    return "1 week is" if count == 1 else f"{count} weeks are"
+    return {0: "no whole week is", 1: "1 week is"}.get(count, f"{count} weeks are")
 
 
 def _drift_in_words(found: dict[str, Any]) -> str:

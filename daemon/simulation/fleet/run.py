@@ -221,7 +221,8 @@ def database_of(dsn: str, folder: Path) -> PostgresqlConfig:
     try:
         known = _of_environment() | conninfo_to_dict(dsn)
     except psycopg.Error as error:
-        raise SimulationError(f"--postgres: {' '.join(str(error).split())}") from error
+        problem = " ".join(str(error).split())
+        raise SimulationError(f"--postgres: {problem}: give a DSN such as postgresql://user@host/database") from error
     if (mode := known.get("sslmode", "disable")) not in ("disable", "verify-full"):
         raise SimulationError(f"--postgres: sslmode={mode} is not what a sink does: give disable or verify-full")
     there: dict[str, Any] = {"host": known.get("host", "localhost"), "tls": mode == "verify-full"}
@@ -339,7 +340,8 @@ def simulate_fleet(
     with ArrivalWatch(route.dsn, plan.names, lines) as arrivals, Keeper(bodies) as keeper:
         _all_taken(plan, keeper)  # every sender is at work, and the tables are there
         here.send(None)
-        say(f"{plan.machines} machines record {plan.minutes:g} min at {plan.speed:g} times real time")
+        who = "1 machine records" if plan.machines == 1 else f"{plan.machines} machines record"
+        say(f"{who} {plan.minutes:g} min at {plan.speed:g} times real time")
         began(keeper)
         try:
             recorded: Recorded = _received(here, recording, keeper)
