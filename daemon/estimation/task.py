@@ -81,9 +81,8 @@ class ThermalTask:
         temperatures = configuration.temperatures
         self._clock, self._history, self._telemetry = clock, history, telemetry
         self._deliver, self._on_change = deliver, on_change
-        self._temperature_is_shown = configuration.cnc.temperature_macro is not None or (
-            configuration.spindle_speed is not None
-        )
+        shown = (configuration.cnc.temperature_macro, configuration.spindle_speed)
+        self._temperature_is_shown = any(each is not None for each in shown)
         self._labels = {label: np.array(indices) for label, indices in temperatures.labels.items()}
         self._sensor_ids = temperatures.sensor_ids
         self._cleansing = Cleansing(configuration, clock)
@@ -263,20 +262,21 @@ class ThermalTask:
             self._reference = counted
             self._deliver(ReferenceRebased(reference=counted))
         reference, model, um_per_k = counted, online.model, self._tool_um_per_k
-        unsure = self._since.wrong_in_tool(degc, um_per_k)
+        unsure, doubt_k = self._since.wrong_in_tool(degc, um_per_k), self._cleansing.levels.uncertainty_k
         unsure = unsure or self._cleansing.withheld(degc, outcome.share, online.excluded)
-        unsure = unsure or _unsure(outcome, online, self._cleansing.levels.uncertainty_k, um_per_k, self._sensor_ids)
+        unsure = unsure or _unsure(outcome, online, doubt_k, um_per_k, self._sensor_ids)
         of_positions, untrusted = self._positions.trust(model, clock_s, outcome.imputed)
         unsure, confidence = unsure or untrusted, outcome.confidence * of_positions
         followed = not unsure and outcome.in_domain and confidence >= self._cleansing.least
         goes_on_um = self._since.goes_on_um(model, outcome.imputed, outcome.thermal_error_um, now_s / 60.0, followed)
         self._since.update(degc, online, outcome.found_wrong_um)
+        increments_k = self._since.label_increments(degc, now_s / 60.0)
         return ThermalErrorEstimate(
             channels=model.channels,
             thermal_error_um=goes_on_um,
             band_um=model.band_um * outcome.band_factor,
             label_degc=_label_means(self._labels, degc),
-            label_increment_degc=self._believed(self._since.label_increments(degc, now_s / 60.0)),
+            label_increment_degc=_believed(increments_k, self._labels, doubt_k * um_per_k),
             in_domain=outcome.in_domain,
             confidence=0.0 if unsure else confidence,
             imputed=tuple(outcome.imputed),
@@ -290,12 +290,6 @@ class ThermalTask:
             trace=replace(temperatures.trace, estimated=self._clock.now()),
             probe_wander=_probe_wander(model),
         )
-
-    def _believed(self, increments_k: dict[str, float]) -> dict[str, float]:
-        """Return the labels' increments without those of labels whose sensors' levels are in doubt."""
-        if not (um := np.abs(self._cleansing.levels.uncertainty_k) * self._tool_um_per_k).any():
-            return increments_k
-        return {label: k for label, k in increments_k.items() if um[self._labels[label]].sum() <= UNSURE_UM}
 
     def _set_reference(self, request: ReferenceRequest) -> None:
         now = self._clock.now()
@@ -467,6 +461,13 @@ def _unsure(
         f"the level of {named} has changed since the reference and nothing explains it, which may be "
         f"{level_um + outcome.imputed_um:.1f} um: position the work again"
     )
+
+
+def _believed(increments_k: dict[str, float], labels: Mapping[str, Places], doubt_um: FloatArray) -> dict[str, float]:
+    """Return the labels' increments without those of labels whose sensors' levels are in doubt."""
+    if not doubt_um.any():
+        return increments_k
+    return {label: k for label, k in increments_k.items() if np.abs(doubt_um[labels[label]]).sum() <= UNSURE_UM}
 
 
 def _label_means(labels: Mapping[str, Places], degc: FloatArray) -> dict[str, float]:

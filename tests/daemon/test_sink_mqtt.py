@@ -332,7 +332,10 @@ def test_a_limit_of_the_broker_is_named(tmp_path: Path, setting: str, said: str)
     store = tmp_path / "h.sqlite"
     fill(store, hours=0.1)
     with mosquitto(tmp_path, OPEN, setting) as port:
-        cursor = send(section(port), store)
+        for _ in range(10):  # a connection that ends with bytes unread may take the broker's last word with it
+            cursor = send(section(port), store)
+            if said in cursor.problem:
+                break
     assert said in cursor.problem and cursor.sent_rows == 0
 
 

@@ -95,7 +95,7 @@ def test_a_replay_refuses_a_model_of_other_columns(tmp_path):
     recording, model = recording_and_model(tmp_path)
     text = recording.read_text(encoding="utf-8")
     for columns, words in (
-        ("T1,T02,Y1,Z1", "sensor 2 of the model is T2, of the recording T02"),
+        ("T1,T02,Y1,Z1", "the model needs the temperature 'T2', and the r"),
         ("T1,T2,X1,X2", "the model estimates Y1, Z1, and the recording has X1, X2"),
     ):
         (tmp_path / "other.csv").write_text(text.replace("T1,T2,Y1,Z1", columns, 1), encoding="utf-8")

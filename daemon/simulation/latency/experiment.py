@@ -68,7 +68,6 @@ class Setting:
 def latency_machine(base: dict[str, Any], experiment: Experiment, folder: Path) -> dict[str, Any]:
     """Return the machine's description for the experiment, from the demonstration's; writes its model into `folder`."""
     speed, cleansing = experiment.speed, base["temperatures"].setdefault("cleansing", {})
-    base["machine"] = "simulated CFRP machine tool, one sensor on packs"
     base["cnc"]["poll_period_s"] = max(0.5, POLL_REAL_S[experiment.mode] * speed)
     sensor = moved_sensor(base)
     if experiment.mode == "temperature":
