@@ -19,7 +19,8 @@ class Configuration(Section):
     """Configuration of the daemon for one machine tool."""
 
     machine: MachineName = Field(
-        description="name of the machine; a model that was trained on another needs a person's word",
+        description="name of the machine; a commissioning record of another permits nothing, a model that was trained "
+        "on another needs a person's word",
         examples=["my machining centre"],
     )
     temperatures: TemperaturesConfig = Field(description="LATSIS lines and sensors")
