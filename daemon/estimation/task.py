@@ -262,9 +262,9 @@ class ThermalTask:
             self._reference = counted
             self._deliver(ReferenceRebased(reference=counted))
         reference, model, um_per_k = counted, online.model, self._tool_um_per_k
-        unsure, doubt_k = self._since.wrong_in_tool(degc, um_per_k), self._cleansing.levels.uncertainty_k
+        unsure, uncertainty_k = self._since.wrong_in_tool(degc, um_per_k), self._cleansing.levels.uncertainty_k
         unsure = unsure or self._cleansing.withheld(degc, outcome.share, online.excluded)
-        unsure = unsure or _unsure(outcome, online, doubt_k, um_per_k, self._sensor_ids)
+        unsure = unsure or _unsure(outcome, online, uncertainty_k, um_per_k, self._sensor_ids)
         of_positions, untrusted = self._positions.trust(model, clock_s, outcome.imputed)
         unsure, confidence = unsure or untrusted, outcome.confidence * of_positions
         followed = not unsure and outcome.in_domain and confidence >= self._cleansing.least
@@ -276,7 +276,7 @@ class ThermalTask:
             thermal_error_um=goes_on_um,
             band_um=model.band_um * outcome.band_factor,
             label_degc=_label_means(self._labels, degc),
-            label_increment_degc=_believed(increments_k, self._labels, doubt_k * um_per_k),
+            label_increment_degc=_believed(increments_k, self._labels, uncertainty_k * um_per_k),
             in_domain=outcome.in_domain,
             confidence=0.0 if unsure else confidence,
             imputed=tuple(outcome.imputed),
@@ -463,11 +463,13 @@ def _unsure(
     )
 
 
-def _believed(increments_k: dict[str, float], labels: Mapping[str, Places], doubt_um: FloatArray) -> dict[str, float]:
+def _believed(
+    increments_k: dict[str, float], labels: Mapping[str, Places], uncertainty_um: FloatArray
+) -> dict[str, float]:
     """Return the labels' increments without those of labels whose sensors' levels are in doubt."""
-    if not doubt_um.any():
+    if not uncertainty_um.any():
         return increments_k
-    return {label: k for label, k in increments_k.items() if np.abs(doubt_um[labels[label]]).sum() <= UNSURE_UM}
+    return {label: k for label, k in increments_k.items() if np.abs(uncertainty_um[labels[label]]).sum() <= UNSURE_UM}
 
 
 def _label_means(labels: Mapping[str, Places], degc: FloatArray) -> dict[str, float]:
