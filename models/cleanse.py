@@ -98,14 +98,9 @@ def initial_state(
 ) -> CleansingState:
     """Return the state before the first cycle of a machine with `sensor_count` sensors.
 
-    Parameters
-    ----------
-    sensor_count
-        Number of the machine's sensors.
-    accepted_degc, accepted_at_s : shape (n_sensors,), optional
-        What a previous run accepted last [degC], NaN where nothing, and when [s]: the past that first values are
-        held against.
-
+    `sensor_count`: number of the machine's sensors. `accepted_degc`, `accepted_at_s`, shape (n_sensors,), optional:
+    what a previous run accepted last [degC], NaN where nothing, and when [s]: the past that first values are held
+    against.
     """
     degc = np.full(sensor_count, np.nan) if accepted_degc is None else np.array(accepted_degc, dtype=np.float64)
     at_s = np.full(sensor_count, -np.inf) if accepted_at_s is None else np.array(accepted_at_s, dtype=np.float64)

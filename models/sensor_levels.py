@@ -152,15 +152,8 @@ def doubted(levels: SensorLevels) -> BoolArray:
 def renewed_levels(levels: SensorLevels, group: GroupArray, seen: BelievedValues) -> SensorLevels:
     """Return the levels after a cycle.
 
-    Parameters
-    ----------
-    levels
-        Before it.
-    group : shape (n_sensors,)
-        Number of the component of each sensor of the machine.
-    seen
-        What is believed of the cycle.
-
+    `group`, shape (n_sensors,): number of the component of each sensor of the machine. `seen`: what is believed of the
+    cycle.
     """
     believed = np.isfinite(seen.degc)
     degc = np.where(seen.stale, np.nan, levels.degc)
@@ -246,11 +239,7 @@ def gone_on(before: SensorLevels, now: SensorLevels, since_s: float) -> SensorLe
 def jumped_k(before: SensorLevels, now: SensorLevels) -> FloatArray | None:
     """Return by how much sensors have jumped from one cycle to the next [K], shape (n_sensors,); None where none has.
 
-    Parameters
-    ----------
-    before, now
-        Levels before and after a cycle.
-
+    `before`, `now`: levels before and after a cycle.
     """
     if now.jumps is before.jumps:
         return None
@@ -263,11 +252,7 @@ def jumped_k(before: SensorLevels, now: SensorLevels) -> FloatArray | None:
 def undone(before: SensorLevels, now: SensorLevels) -> list[int]:
     """Return the indices of sensors that are themselves again, and were not since they had last come back.
 
-    Parameters
-    ----------
-    before, now
-        Levels before and after a cycle.
-
+    `before`, `now`: levels before and after a cycle.
     """
     return [] if now.gaps is before.gaps else [i for *_, of in set(now.gaps).difference(before.gaps) for i in of]
 

@@ -55,15 +55,7 @@ class StandingInput:
 def renewed_input(before: StandingInput, degc: FloatArray, now_s: float) -> StandingInput:
     """Return what is known of an input after a reading.
 
-    Parameters
-    ----------
-    before
-        Before it.
-    degc : shape (n_sensors,)
-        Numbers as read [degC], NaN where there is none.
-    now_s
-        Time of the reading [s].
-
+    `degc`, shape (n_sensors,): numbers as read [degC], NaN where there is none. `now_s`: time of the reading [s].
     """
     told = np.isfinite(degc)
     both = told & np.isfinite(before.degc)

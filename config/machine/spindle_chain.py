@@ -58,17 +58,8 @@ def build_spindle(
 
     Raises ConfigurationError when a material is not known, or its Poisson's ratio is missing, with file, line and key.
 
-    Parameters
-    ----------
-    description
-        What the file says.
-    file
-        The file, for sentences about it.
-    rotary
-        Rotary-inertia setting that overrides the file's.
-    cells
-        Unit cells along each side of a mixed or layered section.
-
+    `description`: what the file says. `file`: the file, for sentences about it. `rotary`: rotary-inertia setting that
+    overrides the file's. `cells`: unit cells along each side of a mixed or layered section.
     """
     return _builder(description, file, rotary, cells).build(description)
 

@@ -40,15 +40,8 @@ def with_measurement(record: SkillRecord, measured_um: float, estimated_um: floa
 
     Result: unchanged when a number is not finite.
 
-    Parameters
-    ----------
-    record
-        Before it.
-    measured_um
-        Error since the reference without compensation: measured minus applied [um].
-    estimated_um
-        Estimate at the same instant [um].
-
+    `measured_um`: error since the reference without compensation: measured minus applied [um]. `estimated_um`: estimate
+    at the same instant [um].
     """
     if not (np.isfinite(measured_um) and np.isfinite(estimated_um)):
         return record

@@ -117,13 +117,8 @@ def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Rec
 
     Result: times count from the first row. Raises RecordingFileError naming file, line and column.
 
-    Parameters
-    ----------
-    path
-        CSV file with one header row.
-    recording_map
-        What the columns mean; None takes the usual names (`config.recordings.recording_map.usual_map`).
-
+    `path`: CSV file with one header row. `recording_map`: what the columns mean; None takes the usual names
+    (`config.recordings.recording_map.usual_map`).
     """
     place = _Place(path)
     with _opened(place, "utf-8" if recording_map is None else recording_map.encoding) as lines:

@@ -196,19 +196,10 @@ class BiasFilter:
     ) -> BiasState:
         """Return the state after a measurement.
 
-        Parameters
-        ----------
-        state
-            Before it.
-        time_min
-            Its time [min], not before that of the state.
-        residual_um : shape (n_channels,)
-            Measured minus estimated by the model alone [um], NaN for a channel that was not
-            measured, which keeps its offset. Under compensation, measured is what the probe saw
-            minus what was applied.
-        estimate_um : shape (n_channels,)
-            What the model says then [um], see `advanced`.
-
+        `time_min`: its time [min], not before that of the state. `residual_um`, shape (n_channels,): measured minus
+        estimated by the model alone [um], NaN for a channel that was not measured, which keeps its offset. Under
+        compensation, measured is what the probe saw minus what was applied. `estimate_um`, shape (n_channels,): what
+        the model says then [um], see `advanced`.
         """
         known = np.isfinite(residual_um)
         residual_um = np.where(known, residual_um, 0.0)

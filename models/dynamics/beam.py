@@ -148,17 +148,9 @@ def segment_span(
     Result: the span, and how many natural frequencies of the segment clamped at both ends lie below each frequency,
     shape (n,); zeros when damped.
 
-    Parameters
-    ----------
-    segment
-        The segment.
-    frequency_hz
-        Frequencies [Hz], shape (n,), positive.
-    damped
-        Whether E and G are complex, which equals 4-14 to 4-16 summed over all modes.
-    highest_hz
-        Frequency that decides into how many elements the segment is divided; None: the largest given.
-
+    `frequency_hz`: frequencies [Hz], shape (n,), positive. `damped`: whether E and G are complex, which equals 4-14 to
+    4-16 summed over all modes. `highest_hz`: frequency that decides into how many elements the segment is divided;
+    None: the largest given.
     """
     highest = float(frequency_hz.max()) if highest_hz is None else highest_hz
     pieces = segment.length_m / longest_element_m(segment, 2.0 * np.pi * highest)

@@ -63,13 +63,8 @@ def kept_beside(vary: Sequence[str], groups: Sequence[str]) -> tuple[str, ...]:
 
     Raises IdentificationError when a name is no parameter of it.
 
-    Parameters
-    ----------
-    vary
-        Parameters (`kt_front`), kinds (`kt`: of every group), or groups (`front`: all of its parameters).
-    groups
-        The groups of the spindle's bearings.
-
+    `vary`: parameters (`kt_front`), kinds (`kt`: of every group), or groups (`front`: all of its parameters). `groups`:
+    the groups of the spindle's bearings.
     """
     names = parameters_of(groups)
     varied: set[str] = set()
@@ -91,17 +86,9 @@ def kept_parameters(
 
     Raises IdentificationError when `vary` names no parameter, or when it must say what is varied.
 
-    Parameters
-    ----------
-    groups
-        The groups of the spindle's bearings.
-    parameters
-        5, 7 or 12 of the published spindle's (section 5.2.3), 12 standing for all of any spindle.
-    vary
-        What is varied instead, see `kept_beside`; empty: as `parameters` says.
-    stated
-        Values of the spindle's file, by name; they are kept where nothing is published.
-
+    `groups`: the groups of the spindle's bearings. `parameters`: 5, 7 or 12 of the published spindle's (section 5.2.3),
+    12 standing for all of any spindle. `vary`: what is varied instead, see `kept_beside`; empty: as `parameters` says.
+    `stated`: values of the spindle's file, by name; they are kept where nothing is published.
     """
     if vary:
         return {name: stated.get(name, 0.0) for name in kept_beside(vary, groups)}

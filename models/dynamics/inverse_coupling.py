@@ -30,17 +30,9 @@ def held_stiffness(
     IdentificationError when shapes differ, the second point lies outside the blank, or responses leave nothing to
     tell at a frequency, which is named.
 
-    Parameters
-    ----------
-    blank
-        What stands out of the holder.
-    second_m
-        Distance of the second point from the tip [m], above 0 and below the blank's length.
-    frequency_hz
-        Frequencies [Hz], shape (n,), positive.
-    measured_m_per_n
-        Receptance at the tip, between tip and second point, at the second point, shape (3, n) [m/N].
-
+    `blank`: what stands out of the holder. `second_m`: distance of the second point from the tip [m], above 0 and below
+    the blank's length. `frequency_hz`: frequencies [Hz], shape (n,), positive. `measured_m_per_n`: receptance at the
+    tip, between tip and second point, at the second point, shape (3, n) [m/N].
     """
     if not 0.0 < second_m < blank.length_m:
         raise IdentificationError(

@@ -37,11 +37,7 @@ class Smoothed:
 def smoothed(responses: ComplexArray) -> Smoothed:
     """Return responses smoothed over the widest window that does not bend them.
 
-    Parameters
-    ----------
-    responses
-        Responses of one structure at evenly spaced lines, shape (m, n), finite and not zero.
-
+    `responses`: responses of one structure at evenly spaced lines, shape (m, n), finite and not zero.
     """
     best = None
     for half_width in HALF_WIDTHS:

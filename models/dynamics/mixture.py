@@ -59,17 +59,8 @@ def mixed(
 
     Raises ValueError when ratios are negative or do not sum up to 1, or Poisson's ratio is not known.
 
-    Parameters
-    ----------
-    ratios
-        Materials and their volume ratios, which sum up to 1.
-    outer_m, inner_m
-        Diameters [m].
-    poisson
-        nu of the shear coefficient; None: the volume mean of the materials'.
-    cells
-        Unit cells along each side.
-
+    `ratios`: materials and their volume ratios, which sum up to 1. `outer_m`, `inner_m`: diameters [m]. `poisson`: nu
+    of the shear coefficient; None: the volume mean of the materials'. `cells`: unit cells along each side.
     """
     total = sum(ratio for _, ratio in ratios)
     if any(ratio < 0.0 for _, ratio in ratios) or abs(total - 1.0) > RATIO_SUM:
@@ -95,17 +86,8 @@ def layered(layers: Sequence[Layer], inner_m: float, *, poisson: float | None = 
 
     Raises ValueError when the diameters do not grow, or Poisson's ratio is not known.
 
-    Parameters
-    ----------
-    layers
-        From the bore outwards, with growing outer diameters.
-    inner_m
-        Diameter of the bore [m].
-    poisson
-        nu of the shear coefficient; None: the area mean of the materials'.
-    cells
-        Unit cells along each side.
-
+    `layers`: from the bore outwards, with growing outer diameters. `inner_m`: diameter of the bore [m]. `poisson`: nu
+    of the shear coefficient; None: the area mean of the materials'. `cells`: unit cells along each side.
     """
     borders = [inner_m, *(layer.outer_m for layer in layers)]
     if any(second <= first for first, second in pairwise(borders)):

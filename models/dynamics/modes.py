@@ -50,15 +50,8 @@ def natural_frequencies(chain: Chain, count: int, search_end_hz: float = HIGHEST
     None is missed and none is spurious: each is an interval at which the number of natural
     frequencies below (Wittrick and Williams) rises, narrowed to `PRECISION`.
 
-    Parameters
-    ----------
-    chain
-        The chain, free or on supports; damping is left out.
-    count
-        How many; at least 1. Fewer are returned when the search ends before.
-    search_end_hz
-        Where the search ends [Hz].
-
+    `chain`: the chain, free or on supports; damping is left out. `count`: how many; at least 1. Fewer are returned when
+    the search ends before. `search_end_hz`: where the search ends [Hz].
     """
     rigid = rigid_body_modes(chain)
     highest = 2000.0
@@ -86,15 +79,7 @@ def natural_frequencies(chain: Chain, count: int, search_end_hz: float = HIGHEST
 def modes(chain: Chain, count: int, step_m: float = SHAPE_STEP_M) -> list[Mode]:
     """Return the lowest elastic modes with their shapes.
 
-    Parameters
-    ----------
-    chain
-        The chain.
-    count
-        How many.
-    step_m
-        Largest distance between two points of a shape [m].
-
+    `count`: how many. `step_m`: largest distance between two points of a shape [m].
     """
     return [_mode(chain, float(frequency), step_m) for frequency in natural_frequencies(chain, count)]
 
@@ -136,17 +121,9 @@ def dense_stiffness(chain: Chain, frequency_hz: float, step_m: float, *, damped:
     Result: symmetric matrix, shape (2 m, 2 m), ordered (y_1, theta_1, y_2, ...), and the positions of the m points from
     the front [m]; at an elastic joint a position appears twice.
 
-    Parameters
-    ----------
-    chain
-        The chain with its supports.
-    frequency_hz
-        One frequency [Hz].
-    step_m
-        Largest distance between two points of a segment [m]; 0: only the ends and the supports.
-    damped
-        Whether the structural damping and the dampers act.
-
+    `chain`: the chain with its supports. `frequency_hz`: one frequency [Hz]. `step_m`: largest distance between two
+    points of a segment [m]; 0: only the ends and the supports. `damped`: whether the structural damping and the dampers
+    act.
     """
     at = np.array([frequency_hz])
     parts, nodes = divide(chain, [support.position_m for support in chain.supports])
@@ -176,17 +153,9 @@ def dense_stiffness(chain: Chain, frequency_hz: float, step_m: float, *, damped:
 def segment_matrix(segment: Segment, frequency_hz: float, offsets_m: list[float], *, damped: bool) -> Values:
     """Return the dynamic stiffness of points of a segment, shape (2 m, 2 m), at one frequency [Hz].
 
-    Parameters
-    ----------
-    segment
-        The segment; a `published` one keeps its one rigid rotation mode, whatever its points.
-    frequency_hz
-        One frequency [Hz].
-    offsets_m
-        Points from its front [m], ascending, the first 0 and the last its length.
-    damped
-        Whether E and G are complex.
-
+    `segment`: the segment; a `published` one keeps its one rigid rotation mode, whatever its points. `frequency_hz`:
+    one frequency [Hz]. `offsets_m`: points from its front [m], ascending, the first 0 and the last its length.
+    `damped`: whether E and G are complex.
     """
     at = np.array([frequency_hz])
     exact = segment.as_correct()

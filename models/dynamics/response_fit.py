@@ -226,17 +226,8 @@ def report(
 
     Raises IdentificationError when a value or the response it gives is not finite.
 
-    Parameters
-    ----------
-    task
-        The problem that was solved.
-    values
-        All parameters by name, the kept ones among them.
-    evaluations
-        How often the response was computed.
-    rivals
-        Other sets of values that fit as well.
-
+    `task`: the problem that was solved. `values`: all parameters by name, the kept ones among them. `evaluations`: how
+    often the response was computed. `rivals`: other sets of values that fit as well.
     """
     free = task.free
     computed, _ = task.model({name: values[name] for name in free})

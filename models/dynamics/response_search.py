@@ -57,17 +57,8 @@ def least_squares_fit(
 ) -> Descent:
     """Return the parameters that minimise the squares of log(H / H_meas), and others that do as well.
 
-    Parameters
-    ----------
-    task
-        What is fitted.
-    begin
-        Where to begin, by name.
-    coarse
-        The same model at some of the frequencies.
-    table
-        Another start to try, by name.
-
+    `begin`: where to begin, by name. `coarse`: the same model at some of the frequencies. `table`: another start to
+    try, by name.
     """
     thin = Problem(
         model=coarse.model,

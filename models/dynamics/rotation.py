@@ -33,15 +33,8 @@ def whirl_frequencies(chain: Chain, speed_rpm: float, count: int) -> tuple[Float
 
     Raises ValueError when nothing holds the chain (its slow precessions are no modes), or with `published` inertia.
 
-    Parameters
-    ----------
-    chain
-        The chain on its bearings, which are taken to be alike in both axes.
-    speed_rpm
-        Speed of the shaft [1/min].
-    count
-        How many of each.
-
+    `chain`: the chain on its bearings, which are taken to be alike in both axes. `speed_rpm`: speed of the shaft
+    [1/min]. `count`: how many of each.
     """
     if not any(support.properties.kt_n_per_m > 0.0 for support in chain.supports):
         raise ValueError("a free shaft that turns has precessions, no whirls; it needs bearings")
@@ -58,15 +51,9 @@ def rotating_receptance(
     Raises ValueError when the two assemblies are not the same shaft with bearings at the same places, or with
     `published` inertia.
 
-    Parameters
-    ----------
-    along_x, along_y
-        The spindle with what is clamped, as each axis sees it: only the bearings' properties may differ.
-    speed_rpm
-        Speed of the spindle, clockwise seen from above [1/min].
-    frequency_hz
-        Frequencies [Hz], shape (n,), positive.
-
+    `along_x`, `along_y`: the spindle with what is clamped, as each axis sees it: only the bearings' properties may
+    differ. `speed_rpm`: speed of the spindle, clockwise seen from above [1/min]. `frequency_hz`: frequencies [Hz],
+    shape (n,), positive.
     """
     chains = along_x.whole(), along_y.whole()
     if chains[0].parts != chains[1].parts or _places(chains[0]) != _places(chains[1]):

@@ -85,15 +85,8 @@ def beam_segment(
     Every tube adds its own share: rho A, rho I, E I and its own A_s G (4-26 with its own
     diameters and Poisson's ratio).
 
-    Parameters
-    ----------
-    length_m
-        Length [m].
-    tubes
-        At least one tube.
-    axial_load_n, structural_damping, rigid_rotary_inertia
-        See `models.dynamics.beam.Segment`.
-
+    `length_m`: length [m]. `tubes`: at least one tube. `axial_load_n`, `structural_damping`, `rigid_rotary_inertia`:
+    see `models.dynamics.beam.Segment`.
     """
     return Segment(
         length_m=length_m,

@@ -18,15 +18,8 @@ def block_means(time_s: FloatArray, values: FloatArray, period_s: float) -> tupl
     value of a column. Raises ValueError when the period is not positive, the lengths differ or the times do not
     increase.
 
-    Parameters
-    ----------
-    time_s : shape (n,)
-        Times [s], increasing.
-    values : shape (n,) or (n, n_columns)
-        NaN where a value is missing; it is left out of its block's mean.
-    period_s
-        Length of a block [s].
-
+    `time_s`, shape (n,): times [s], increasing. `values`, shape (n,) or (n, n_columns): NaN where a value is missing;
+    it is left out of its block's mean. `period_s`: length of a block [s].
     """
     if not period_s > 0:
         raise ValueError(f"period_s must be positive, got {period_s}")

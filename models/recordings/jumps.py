@@ -23,17 +23,10 @@ def remove_jumps_at_switching(
     Result: a new array; the argument is not changed. Raises ValueError when the lengths differ or the threshold is
     negative.
 
-    Parameters
-    ----------
-    displacement_um : shape (n,) or (n, n_channels)
-        Displacements [um]; a missing sample (NaN) stays missing, and the variation is then taken
-        between the nearest samples before and after.
-    speed_rpm : shape (n,)
-        Spindle speed [1/min]; the spindle is on where it is not zero. Unknown (NaN) repeats the
-        previous state.
-    threshold_um
-        Smaller variations are left alone [um].
-
+    `displacement_um`, shape (n,) or (n, n_channels): displacements [um]; a missing sample (NaN) stays missing, and the
+    variation is then taken between the nearest samples before and after. `speed_rpm`, shape (n,): spindle speed
+    [1/min]; the spindle is on where it is not zero. Unknown (NaN) repeats the previous state. `threshold_um`: smaller
+    variations are left alone [um].
     """
     if speed_rpm.ndim != 1 or len(speed_rpm) != len(displacement_um):
         raise ValueError(f"{len(displacement_um)} displacement rows need as many speeds, got shape {speed_rpm.shape}")
@@ -63,17 +56,9 @@ def remove_sudden_jumps(
     Result of shape (n, n_channels): a new array; what a jump has beyond the next variation is taken off all later
     samples.
 
-    Parameters
-    ----------
-    time_s : shape (n,)
-        Increasing times [s].
-    displacement_um : shape (n, n_channels)
-        Displacements [um], NaN where missing.
-    speed_rpm : shape (n,)
-        Spindle speed [1/min]; NaN repeats the previous state.
-    threshold_um
-        Smaller jumps are left alone [um].
-
+    `time_s`, shape (n,): increasing times [s]. `displacement_um`, shape (n, n_channels): displacements [um], NaN where
+    missing. `speed_rpm`, shape (n,): spindle speed [1/min]; NaN repeats the previous state. `threshold_um`: smaller
+    jumps are left alone [um].
     """
     cleansed, on = displacement_um.copy(), _spindle_on(speed_rpm)
     for channel in range(displacement_um.shape[1]):

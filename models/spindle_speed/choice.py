@@ -21,17 +21,8 @@ def resonance_speed_rpm(resonance_hz: float, offset_hz: float, teeth: int, lobe:
     Result: spindle speed [1/min]. Raises StabilityError when teeth or lobe are below 1, nothing is left of the
     resonance, or no spindle turns so fast or slowly.
 
-    Parameters
-    ----------
-    resonance_hz
-        Tracked resonance f_r [Hz].
-    offset_hz
-        Signed distance f_o that the tooth passing keeps below it [Hz].
-    teeth
-        n_T (printed as n_r in the dissertation).
-    lobe
-        k_c, 1 for the fastest pocket.
-
+    `resonance_hz`: tracked resonance f_r [Hz]. `offset_hz`: signed distance f_o that the tooth passing keeps below it
+    [Hz]. `teeth`: n_T (printed as n_r in the dissertation). `lobe`: k_c, 1 for the fastest pocket.
     """
     if teeth < 1 or lobe < 1:
         raise StabilityError(f"{teeth} teeth and lobe {lobe} give no speed; both count from 1")
@@ -102,17 +93,9 @@ def choose_speed(
     Result: the programmed speed with an alarm when nothing is stable to the demand. Raises StabilityError when depth,
     margin or tolerance are out of range.
 
-    Parameters
-    ----------
-    lobes
-        Over the range of speeds that is allowed, better a little beyond it.
-    demand
-        Programmed speed and depth, margin and tolerance.
-    range_rpm
-        Lowest and highest speed allowed [1/min]; None: those of the lobes.
-    candidates_rpm
-        Speeds to choose among, such as those of equation 5-9 [1/min]; None: all.
-
+    `lobes`: over the range of speeds that is allowed, better a little beyond it. `demand`: programmed speed and depth,
+    margin and tolerance. `range_rpm`: lowest and highest speed allowed [1/min]; None: those of the lobes.
+    `candidates_rpm`: speeds to choose among, such as those of equation 5-9 [1/min]; None: all.
     """
     if not demand.depth_mm > 0.0 or demand.margin_fraction < 0.0 or not 0.0 <= demand.tolerance_fraction < 0.5:
         raise StabilityError(

@@ -49,15 +49,8 @@ class MillingOperation:
 class SpeedPlanner:
     """Plans the speed of one operation.
 
-    Parameters
-    ----------
-    operation
-        What is programmed.
-    lobes_of
-        Response -> lobes.
-    check
-        Verifies each chosen speed; None: the lobes decide.
-
+    `operation`: what is programmed. `lobes_of`: response -> lobes. `check`: verifies each chosen speed; None: the lobes
+    decide.
     """
 
     def __init__(

@@ -53,17 +53,8 @@ class ProgrammedSpeed:
 class ResonanceRule:
     """Equation 5-9 on one axis: the speed follows the tracked resonance at every safe block.
 
-    Parameters
-    ----------
-    operation
-        What is programmed.
-    axis
-        The axis whose resonance is followed.
-    offset_hz
-        Signed f_o [Hz].
-    lobe
-        k_c; None: at the first safe block, the one whose speed is nearest to the programmed one.
-
+    `operation`: what is programmed. `axis`: the axis whose resonance is followed. `offset_hz`: signed f_o [Hz]. `lobe`:
+    k_c; None: at the first safe block, the one whose speed is nearest to the programmed one.
     """
 
     def __init__(
@@ -94,17 +85,8 @@ class ResonanceRule:
 class TunedSpeed:
     """The speed nearest to the programmed one that is stable to the depth, commanded by `speed_tuning.step`.
 
-    Parameters
-    ----------
-    operation
-        What is programmed.
-    settings
-        Hysteresis, dwell, step, filter.
-    lobes_of
-        Response -> lobes.
-    check
-        Verifies each chosen speed; None: the lobes decide.
-
+    `operation`: what is programmed. `settings`: hysteresis, dwell, step, filter. `lobes_of`: response -> lobes.
+    `check`: verifies each chosen speed; None: the lobes decide.
     """
 
     def __init__(

@@ -155,15 +155,7 @@ def step(
 
     Result: command and memory. Raises SpeedTuningError when the programmed speed or feed is no positive number.
 
-    Parameters
-    ----------
-    memory
-        From the step before, or `initial_memory`.
-    inputs
-        What is known now.
-    settings
-        Hysteresis, dwell, step, filter.
-
+    `memory`: from the step before, or `initial_memory`. `settings`: hysteresis, dwell, step, filter.
     """
     if not (0.0 < inputs.programmed_rpm < math.inf and 0.0 < inputs.programmed_feed_mm_min < math.inf):
         raise SpeedTuningError(

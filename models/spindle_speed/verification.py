@@ -38,15 +38,8 @@ OUTSIDE_DAMPING = 0.05
 class StabilityVerification:
     """Says whether the vibration of a cut dies away fast enough, by the spectral radius over a tooth passing.
 
-    Parameters
-    ----------
-    cut
-        Engagement and cutting coefficients.
-    feeds_deg
-        Directions of the feed against X [deg]; the cut must be stable in all of them.
-    least_decay_per_s
-        Slowest decay that counts as stable [1/s].
-
+    `cut`: engagement and cutting coefficients. `feeds_deg`: directions of the feed against X [deg]; the cut must be
+    stable in all of them. `least_decay_per_s`: slowest decay that counts as stable [1/s].
     """
 
     def __init__(
@@ -66,17 +59,8 @@ class StabilityVerification:
         Result: also where no modes follow the response, or vibrations are too many from tooth to tooth: what cannot be
         verified is denied.
 
-        Parameters
-        ----------
-        response
-            The tool point; an axis that acts on the other denies every speed.
-        speed_rpm
-            The chosen speed [1/min].
-        depth_mm
-            Axial depth of cut [mm].
-        tolerance
-            Share of the speed to both sides.
-
+        `response`: the tool point; an axis that acts on the other denies every speed. `speed_rpm`: the chosen speed
+        [1/min]. `depth_mm`: axial depth of cut [mm]. `tolerance`: share of the speed to both sides.
         """
         try:
             modes = self.modes(response)

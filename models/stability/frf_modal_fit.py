@@ -65,18 +65,9 @@ def fit_modes(
     Result: modes in ascending frequency and how well they fit. Raises StabilityError with too few samples, with one
     that is not finite, or when no sum of up to twelve modes follows them.
 
-    Parameters
-    ----------
-    frequency_hz
-        Ascending [Hz], shape (n,).
-    receptance
-        Displacement per force [m/N], shape (n,), complex.
-    pairs
-        Number of pole pairs to begin with; None finds it.
-    start
-        Fit of a response that was nearly the same: its modes are moved to this one. Where that fits worse than
-        before, everything begins anew.
-
+    `frequency_hz`: ascending [Hz], shape (n,). `receptance`: displacement per force [m/N], shape (n,), complex.
+    `pairs`: number of pole pairs to begin with; None finds it. `start`: fit of a response that was nearly the same: its
+    modes are moved to this one. Where that fits worse than before, everything begins anew.
     """
     if len(frequency_hz) < 16:
         raise StabilityError(

@@ -76,15 +76,8 @@ def check_lines(frequency_hz: FloatArray, teeth: int, from_rpm: float, to_rpm: f
 
     Raises StabilityError when the FRF ends below the highest tooth-passing frequency or begins above it.
 
-    Parameters
-    ----------
-    frequency_hz
-        Its ascending frequencies [Hz], shape (n,).
-    teeth
-        Number of teeth.
-    from_rpm, to_rpm
-        Range of speeds [1/min].
-
+    `frequency_hz`: its ascending frequencies [Hz], shape (n,). `teeth`: number of teeth. `from_rpm`, `to_rpm`: range of
+    speeds [1/min].
     """
     low, high = float(frequency_hz[0]), float(frequency_hz[-1])
     first, last = tooth_passing_hz(from_rpm, teeth), tooth_passing_hz(to_rpm, teeth)

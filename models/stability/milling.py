@@ -134,15 +134,8 @@ def engagement_rad(mode: MillingMode, radial_depth_mm: float, diameter_mm: float
     Result: entry and exit [rad], clockwise from the normal of the feed. Raises StabilityError when the immersion is out
     of range.
 
-    Parameters
-    ----------
-    mode
-        Up-milling, down-milling or slot.
-    radial_depth_mm
-        Radial depth of cut a_e [mm]; the diameter for a slot.
-    diameter_mm
-        Diameter of the tool [mm].
-
+    `mode`: up-milling, down-milling or slot. `radial_depth_mm`: radial depth of cut a_e [mm]; the diameter for a slot.
+    `diameter_mm`: diameter of the tool [mm].
     """
     if not diameter_mm > 0.0:
         raise StabilityError(f"the diameter {diameter_mm:g} mm is none; give the tool's diameter in mm")
@@ -206,15 +199,8 @@ def edge_matrices(cut: Cut, angle_rad: FloatArray, lag_rad: FloatArray) -> tuple
     Result: two arrays of the shape (..., 2, 2), dimensionless: force = depth K_tc [A] (x(t) - x(t - T)) of the cut, and
     force = -depth C / V [D] dx/dt of the process damping.
 
-    Parameters
-    ----------
-    cut
-        The cut.
-    angle_rad
-        Angle of the edge's tip [rad], any shape (...).
-    lag_rad
-        By which angle the other end of the edge lags behind it [rad], of a shape that goes with the first.
-
+    `angle_rad`: angle of the edge's tip [rad], any shape (...). `lag_rad`: by which angle the other end of the edge
+    lags behind it [rad], of a shape that goes with the first.
     """
     straight = np.asarray(lag_rad) < LEAST_LAG_RAD
     if bool(np.all(straight)):

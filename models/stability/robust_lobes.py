@@ -52,17 +52,9 @@ def depth_band(
 
     Result: low and high; inf where a draw has no limit. Raises what `limits` raises.
 
-    Parameters
-    ----------
-    limits
-        Gives the limiting depths [mm] of a structure and a cut at always the same speeds; inf: none.
-    response, cut
-        What is expected.
-    uncertainty
-        How far it may be off.
-    draws
-        How many structures and cuts are tried; the same every time, so that two charts can be compared.
-
+    `limits`: gives the limiting depths [mm] of a structure and a cut at always the same speeds; inf: none. `response`,
+    `cut`: what is expected. `uncertainty`: how far it may be off. `draws`: how many structures and cuts are tried; the
+    same every time, so that two charts can be compared.
     """
     random = np.random.default_rng(SEED)
     found = np.array([limits(*_drawn(response, cut, uncertainty, random)) for _ in range(draws)])

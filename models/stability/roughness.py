@@ -31,15 +31,8 @@ def profile_roughness(position_mm: FloatArray, height_um: FloatArray, cutoff_mm:
     Result: of the whole profile; with a cut-off half of it is left out at both ends. Raises StabilityError with too few
     points, uneven spacing, or a cut-off longer than half the profile.
 
-    Parameters
-    ----------
-    position_mm
-        Evenly spaced along the profile [mm], shape (n,).
-    height_um
-        Shape (n,) [um].
-    cutoff_mm
-        Cut-off of the Gaussian filter that takes waviness away [mm]; None: only the mean line is removed.
-
+    `position_mm`: evenly spaced along the profile [mm], shape (n,). `height_um`: shape (n,) [um]. `cutoff_mm`: cut-off
+    of the Gaussian filter that takes waviness away [mm]; None: only the mean line is removed.
     """
     if len(position_mm) != len(height_um) or len(height_um) < FEWEST_POINTS:
         raise StabilityError(f"a profile of {len(height_um)} points is too short; give at least {FEWEST_POINTS}")

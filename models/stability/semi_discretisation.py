@@ -131,15 +131,8 @@ def semi_discretisation(structure: StateSpace, cut: Cut, steps: int = DEFAULT_ST
 
     Result: to be used at any speed and depth. Raises StabilityError with too few steps.
 
-    Parameters
-    ----------
-    structure
-        State space in feed axes.
-    cut
-        Engagement and cutting coefficients.
-    steps
-        Steps per tooth passing, m.
-
+    `structure`: state space in feed axes. `cut`: engagement and cutting coefficients. `steps`: steps per tooth passing,
+    m.
     """
     if steps < FEWEST_STEPS:
         raise StabilityError(f"{steps} steps per tooth passing are too few; take at least {FEWEST_STEPS}")
@@ -172,15 +165,8 @@ def transition_matrices(method: SemiDiscretisation, speed_rpm: float, depth_mm: 
     Result: shape (n, size, size), size = n_states + memory n_directions, acting on the states and the
     displacements one, two, ... steps ago. Raises StabilityError when speed or a depth is not above 0.
 
-    Parameters
-    ----------
-    method
-        From `semi_discretisation`.
-    speed_rpm
-        Spindle speed [1/min].
-    depth_mm
-        Axial depths of cut [mm], shape (n,).
-
+    `method`: from `semi_discretisation`. `speed_rpm`: spindle speed [1/min]. `depth_mm`: axial depths of cut [mm],
+    shape (n,).
     """
     state, track = _motion(method, speed_rpm, depth_mm)
     moving, states = method.structure.outputs.shape

@@ -14,15 +14,7 @@ def check_length(samples: int, sample_rate_hz: float, window: int) -> None:
 
     Raises StabilityError saying how long to record.
 
-    Parameters
-    ----------
-    samples
-        How many there are.
-    sample_rate_hz
-        Samples per second [Hz].
-    window
-        How many a spectrum needs.
-
+    `samples`: how many there are. `sample_rate_hz`: samples per second [Hz]. `window`: how many a spectrum needs.
     """
     if samples < window:
         raise StabilityError(

@@ -44,17 +44,8 @@ def short_time_spectra(
 
     Result: in the order of time. Raises StabilityError when the signal is shorter than a window.
 
-    Parameters
-    ----------
-    acceleration_m_s2
-        Shape (n,) [m/s^2].
-    sample_rate_hz
-        Samples per second [Hz].
-    overlap
-        Share of a window that the next one repeats, below 1.
-    window
-        Samples of a window; None takes `window_samples`.
-
+    `acceleration_m_s2`: shape (n,) [m/s^2]. `sample_rate_hz`: samples per second [Hz]. `overlap`: share of a window
+    that the next one repeats, below 1. `window`: samples of a window; None takes `window_samples`.
     """
     length = window or window_samples(sample_rate_hz)
     check_length(len(acceleration_m_s2), sample_rate_hz, length)
@@ -82,14 +73,8 @@ def machine_spectrum(acceleration_m_s2: FloatArray, sample_rate_hz: float) -> Fl
     Result: one-sided [(m/s^2)^2/Hz], on the frequencies of a window, of shape (n,). Raises StabilityError when the
     recording is shorter than a window.
 
-    Parameters
-    ----------
-    acceleration_m_s2
-        Shape (n,) [m/s^2], recorded with the same sensor while the spindle turns without cutting, or cuts surely
-        without chatter.
-    sample_rate_hz
-        Samples per second [Hz], those of the cut.
-
+    `acceleration_m_s2`: shape (n,) [m/s^2], recorded with the same sensor while the spindle turns without cutting, or
+    cuts surely without chatter. `sample_rate_hz`: samples per second [Hz], those of the cut.
     """
     return _near(acceleration_m_s2, sample_rate_hz)
 
@@ -100,13 +85,8 @@ def standing_spectrum(parts: Sequence[FloatArray], sample_rate_hz: float) -> Flo
     Result: one-sided density [(m/s^2)^2/Hz] as of `machine_spectrum`, 0 where the cuts differ, shape (n,). Raises
     StabilityError with fewer than two parts, or when one is shorter than a window.
 
-    Parameters
-    ----------
-    parts
-        Acceleration of each cut [m/s^2], at depths that differ by a quarter at least.
-    sample_rate_hz
-        Samples per second [Hz].
-
+    `parts`: acceleration of each cut [m/s^2], at depths that differ by a quarter at least. `sample_rate_hz`: samples
+    per second [Hz].
     """
     if len(parts) < 2:
         raise StabilityError("one depth says nothing of what stands still; give passages at two depths or more")

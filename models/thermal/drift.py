@@ -79,15 +79,8 @@ def weekly_shares(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the middle of each week that counts [d] and the share of the error that was left in it.
 
-    Parameters
-    ----------
-    time_d
-        Times of the measurements, shape (n,) [d].
-    without_um, left_um
-        Error without compensation, and what the estimate leaves of it, shape (n,) [um].
-    least_error_um
-        Weeks in which both are below this say nothing [um].
-
+    `time_d`: times of the measurements, shape (n,) [d]. `without_um`, `left_um`: error without compensation, and what
+    the estimate leaves of it, shape (n,) [um]. `least_error_um`: weeks in which both are below this say nothing [um].
     """
     known = np.isfinite(time_d) & np.isfinite(without_um) & np.isfinite(left_um)
     time_d, without_um, left_um = time_d[known], without_um[known], left_um[known]
@@ -121,13 +114,8 @@ def judge_drift(
 
     Raises RefusedInputError when the arrays differ in length or the bound is not positive.
 
-    Parameters
-    ----------
-    time_d, without_um, left_um, least_error_um
-        See `weekly_shares`.
-    bound
-        Share at which the model counts as worn out; None: where it has lost 1 - `KEPT` of what it took away at first.
-
+    `time_d`, `without_um`, `left_um`, `least_error_um`: see `weekly_shares`. `bound`: share at which the model counts
+    as worn out; None: where it has lost 1 - `KEPT` of what it took away at first.
     """
     if not len(time_d) == len(without_um) == len(left_um):
         raise RefusedInputError(f"{len(time_d)} times, {len(without_um)} errors and {len(left_um)} rests do not fit")

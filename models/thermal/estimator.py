@@ -61,16 +61,9 @@ class LinearEstimator:
 
         Raises ValueError when the shape does not fit the model or the time is not finite.
 
-        Parameters
-        ----------
-        time_min
-            Its time [min].
-        degc : shape (n_sensors,)
-            Temperatures in the model's sensor order [degC], filtered as in training (means over
-            `model.period_min`), NaN where missing.
-        speed_rpm
-            Spindle speed [1/min], NaN where unknown.
-
+        `time_min`: its time [min]. `degc`, shape (n_sensors,): temperatures in the model's sensor order [degC],
+        filtered as in training (means over `model.period_min`), NaN where missing. `speed_rpm`: spindle speed [1/min],
+        NaN where unknown.
         """
         self._require(time_min, degc)
         model, temperatures = self.model, degc[: self._watched_sensors]
@@ -118,18 +111,10 @@ class LinearEstimator:
         of those of spindle speed, and of sensors that were silent all together, what they took in of the gap is
         unknown, and they begin anew where a machine at rest tells more. A model without lags has nothing to begin.
 
-        Parameters
-        ----------
-        state
-            Before it.
-        time_min, degc, speed_rpm
-            See `begin`. A time that does not lie after the state's changes nothing.
-        find_faults
-            Whether the watch may exclude sensors; False while history is replayed.
-        bridged
-            Sensors return at a level that their own past explains: their lags go on as if the temperature had gone
-            straight through the gap, however long it was.
-
+        `time_min`, `degc`, `speed_rpm`: see `begin`. A time that does not lie after the state's changes nothing.
+        `find_faults`: whether the watch may exclude sensors; False while history is replayed. `bridged`: sensors return
+        at a level that their own past explains: their lags go on as if the temperature had gone straight through the
+        gap, however long it was.
         """
         self._require(time_min, degc)
         elapsed_min = time_min - state.time_min

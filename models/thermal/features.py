@@ -85,15 +85,9 @@ def lag_step(
 
     Result: the lag at the end of the interval, in the unit of the input.
 
-    Parameters
-    ----------
-    lagged, before, now : same shape
-        Lag and input at the beginning of the interval, and input at its end.
-    elapsed_min
-        Length of the interval [min]; 0 leaves the lag as it is.
-    time_constant_min
-        Time constant [min], positive.
-
+    `lagged`, `before`, `now`, same shape: lag and input at the beginning of the interval, and input at its end.
+    `elapsed_min`: length of the interval [min]; 0 leaves the lag as it is. `time_constant_min`: time constant [min],
+    positive.
     """
     if elapsed_min <= 0.0:
         return lagged.copy()
@@ -107,15 +101,8 @@ def lag_table(time_min: FloatArray, values: FloatArray, time_constants_min: Sequ
 
     Result of shape (n_lags, n, n_columns): in the unit of the inputs.
 
-    Parameters
-    ----------
-    time_min : shape (n,)
-        Increasing times [min].
-    values : shape (n, n_columns)
-        Inputs; every value finite.
-    time_constants_min : length n_lags
-        Time constants [min].
-
+    `time_min`, shape (n,): increasing times [min]. `values`, shape (n, n_columns): inputs; every value finite.
+    `time_constants_min`, length n_lags: time constants [min].
     """
     lagged = np.empty((len(time_constants_min), *values.shape))
     if not len(values):

@@ -143,15 +143,9 @@ class Mixture:
     ) -> FloatArray:
         """Return the thermal error since the reference, shape (n, n_channels) [um].
 
-        Parameters
-        ----------
-        solutions
-            Of the model.
-        now, then : shapes (n, d) and (d,)
-            Features about their centre, now and at the reference, of all sensors.
-        linear_um, far_um : shape (n, n_channels)
-            What the linear parts together say, and what the ridge says that counts far out [um].
-
+        `solutions`: of the model. `now`, `then`, shapes (n, d) and (d,): features about their centre, now and at the
+        reference, of all sensors. `linear_um`, `far_um`, shape (n, n_channels): what the linear parts together say, and
+        what the ridge says that counts far out [um].
         """
         if not self.bends:
             return linear_um

@@ -74,13 +74,8 @@ class LeftOut:
     def level_um(self, uncertainty_k: FloatArray, excluded: tuple[int, ...]) -> float:
         """Return by how much the thermal error may be wrong, of the worst channel [um].
 
-        Parameters
-        ----------
-        uncertainty_k : shape (n_sensors,)
-            By how much each sensor's level may be wrong since the reference [K].
-        excluded
-            Indices of the sensors that do not count.
-
+        `uncertainty_k`, shape (n_sensors,): by how much each sensor's level may be wrong since the reference [K].
+        `excluded`: indices of the sensors that do not count.
         """
         doubted = np.flatnonzero(uncertainty_k)
         if not len(doubted):

@@ -335,17 +335,10 @@ class LinearModel(LinearParameters):
 
         Result of shape (n - first, n_channels): thermal error since the reference [um].
 
-        Parameters
-        ----------
-        time_min : shape (n,)
-            Increasing times [min]; lags begin as if the first row had lasted for ever.
-        degc : shape (n, n_sensors)
-            Temperatures in the model's order [degC], finite.
-        speed_rpm : shape (n,)
-            Spindle speed [1/min]; NaN repeats the value before. None where it is not known at all.
-        first
-            The row that is the reference.
-
+        `time_min`, shape (n,): increasing times [min]; lags begin as if the first row had lasted for ever. `degc`,
+        shape (n, n_sensors): temperatures in the model's order [degC], finite. `speed_rpm`, shape (n,): spindle speed
+        [1/min]; NaN repeats the value before. None where it is not known at all. `first`: the row that is the
+        reference.
         """
         speed = np.zeros(len(degc)) if speed_rpm is None else speed_rpm
         known = np.maximum.accumulate(np.where(np.isfinite(speed), np.arange(len(speed)), -1))

@@ -80,15 +80,8 @@ def renewed_mean_increment(before: MeanIncrement, degc: FloatArray, time_min: fl
     none is left; one that returns counts from the reference again, and the step that this would be fades out. One
     without a value at the reference counts on from where it was imputed.
 
-    Parameters
-    ----------
-    before
-        As it was. Increments that are not known (after a restart) are taken for the mean of the others.
-    degc : shape (n_sensors,)
-        Temperatures now [degC], NaN where there is none.
-    time_min
-        Of now [min].
-
+    `before`: as it was. Increments that are not known (after a restart) are taken for the mean of the others. `degc`,
+    shape (n_sensors,): temperatures now [degC], NaN where there is none. `time_min`: of now [min].
     """
     known = np.isfinite(degc)
     if known.all() and before.counted.all():  # no sensor leaves or returns: the usual case

@@ -17,15 +17,8 @@ def beyond_positions(model: ThermalModel, mean_mm: FloatArray, then_mm: FloatArr
 
     Result: of the shape of `mean_mm`; 0 within training, infinite where the model does not tell how far that went.
 
-    Parameters
-    ----------
-    model
-        Its last inputs are the axis positions.
-    mean_mm : shape (n_axes,) or (n, n_axes)
-        Positions in the mean [mm], NaN where not known.
-    then_mm : shape (n_axes,)
-        Where the axes stood at the reference [mm].
-
+    `model`: its last inputs are the axis positions. `mean_mm`, shape (n_axes,) or (n, n_axes): positions in the mean
+    [mm], NaN where not known. `then_mm`, shape (n_axes,): where the axes stood at the reference [mm].
     """
     domain: Domain | None = getattr(model, "domain", None)
     if domain is None:

@@ -31,13 +31,7 @@ class StateReference:
 def state_reference(estimator: LinearEstimator, state: ModelState) -> StateReference:
     """Return the reference that some states are.
 
-    Parameters
-    ----------
-    estimator
-        Of the model in use.
-    state
-        At the instant of the reference.
-
+    `estimator`: of the model in use. `state`: at the instant of the reference.
     """
     return StateReference(
         state=state,

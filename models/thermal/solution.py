@@ -157,15 +157,9 @@ class Solution:
         Result of the shape of the change: in the units of the features; a column that did not move in training is taken
         not to move.
 
-        Parameters
-        ----------
-        change : shape (layout.columns,) or (n, layout.columns)
-            Change of the features; what it holds for the sensors left out does not count.
-        without
-            Indices of the sensors, from 0, with all their lags.
-        beside
-            See `coefficients`.
-
+        `change`, shape (layout.columns,) or (n, layout.columns): change of the features; what it holds for the sensors
+        left out does not count. `without`: indices of the sensors, from 0, with all their lags. `beside`: see
+        `coefficients`.
         """
         if self.directions is None:
             return np.asarray(change @ self._means(without, beside).T)

@@ -89,17 +89,8 @@ def grown_unknown(unknown: FloatArray, elapsed_min: float, constants_min: FloatA
     Result: what was unknown fades; after an interval without samples that is longer than a gap which is bridged, all
     that the lags have taken in of it is unknown.
 
-    Parameters
-    ----------
-    unknown : shape (n_lags,)
-        At its beginning.
-    elapsed_min
-        Its length [min].
-    constants_min : shape (n_lags,)
-        Time constants [min].
-    bridge_min
-        A longer interval is a gap [min].
-
+    `unknown`, shape (n_lags,): at its beginning. `elapsed_min`: its length [min]. `constants_min`, shape (n_lags,):
+    time constants [min]. `bridge_min`: a longer interval is a gap [min].
     """
     left: FloatArray = np.exp(-max(elapsed_min, 0.0) / constants_min)
     return unknown * left if elapsed_min <= bridge_min else 1.0 - (1.0 - unknown) * left

@@ -118,17 +118,9 @@ class AxisTracker:
     ) -> None:
         """Condense the assembly and choose the resonance at the middle of the fitted temperatures.
 
-        Parameters
-        ----------
-        regression
-            From temperatures to bearing properties.
-        assembly
-            Spindle, holder and tool; its supports belong to the three groups of bearings.
-        frequency_hz
-            Evenly spaced [Hz], shape (n,).
-        near_hz
-            The resonance nearest to this is followed [Hz]; None: the highest.
-
+        `regression`: from temperatures to bearing properties. `assembly`: spindle, holder and tool; its supports belong
+        to the three groups of bearings. `frequency_hz`: evenly spaced [Hz], shape (n,). `near_hz`: the resonance
+        nearest to this is followed [Hz]; None: the highest.
         """
         self.regression = regression
         self._condensed = CondensedAssembly(assembly, frequency_hz)

@@ -71,15 +71,8 @@ def progressive_fits(
 
     Result: one for each number of training sets.
 
-    Parameters
-    ----------
-    training
-        At least one data set.
-    sensor_order
-        Indices of the temperatures in the order in which they are added, shape (n_sensors,).
-    intercept
-        Whether b_0 is fitted.
-
+    `training`: at least one data set. `sensor_order`: indices of the temperatures in the order in which they are added,
+    shape (n_sensors,). `intercept`: whether b_0 is fitted.
     """
     found: list[CampaignFits] = []
     main: Factor | None = None
@@ -108,17 +101,9 @@ def residual_maps(
 
     Result: a map by (model, group).
 
-    Parameters
-    ----------
-    training
-        In the order in which they are added.
-    tests
-        Test sets by the name of their group; their displacements are raw.
-    sensor_order, intercept
-        See `progressive_fits`.
-    progress
-        Called with (done, total) numbers of training sets.
-
+    `training`: in the order in which they are added. `tests`: test sets by the name of their group; their displacements
+    are raw. `sensor_order`, `intercept`: see `progressive_fits`. `progress`: called with (done, total) numbers of
+    training sets.
     """
     shape = (len(training), len(sensor_order))
     keys = [(model, group) for model in MODELS for group in tests]

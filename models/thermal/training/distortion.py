@@ -56,16 +56,9 @@ def settled_stretches(time_min: FloatArray, speed_rpm: FloatArray | None, settle
 
     Result: of at least two rows.
 
-    Parameters
-    ----------
-    time_min : shape (n,)
-        Time [min].
-    speed_rpm : shape (n,) or None
-        Spindle speed [1/min]; None: the spindle stood all the time.
-    settled_min
-        Time after a rotation that does not count yet [min]. A recording that begins at standstill is
-        taken as settled at its beginning.
-
+    `time_min`, shape (n,): time [min]. `speed_rpm`, shape (n,) or None: spindle speed [1/min]; None: the spindle stood
+    all the time. `settled_min`: time after a rotation that does not count yet [min]. A recording that begins at
+    standstill is taken as settled at its beginning.
     """
     if speed_rpm is None:
         return [Stretch(first=0, stop=len(time_min))] if len(time_min) > 1 else []
@@ -116,17 +109,9 @@ def stable_after_min(time_min: FloatArray, error_um: FloatArray, *, ahead_min: f
     Result: time since the first row [min] from which on every later change over `ahead_min` stays within the tolerance;
     NaN when the last one does not, or the period is shorter than `ahead_min`.
 
-    Parameters
-    ----------
-    time_min : shape (n,)
-        Time [min], increasing; the first row is the start.
-    error_um : shape (n,)
-        Displacement [um], NaN where it was not measured.
-    ahead_min
-        How far is looked ahead [min].
-    tolerance_um
-        Largest change within that time [um].
-
+    `time_min`, shape (n,): time [min], increasing; the first row is the start. `error_um`, shape (n,): displacement
+    [um], NaN where it was not measured. `ahead_min`: how far is looked ahead [min]. `tolerance_um`: largest change
+    within that time [um].
     """
     known = np.isfinite(error_um)
     time_min, error_um = time_min[known], error_um[known]

@@ -44,15 +44,7 @@ def leverage_positions(ridges: Sequence[Solution], features: FloatArray, rows: I
 def farthest_leverage(inputs: Inputs, rows: BoolArray, ridges: Sequence[Solution]) -> float:
     """Return the largest leverage of what followed on instants of training that could have been the reference.
 
-    Parameters
-    ----------
-    inputs
-        The recordings.
-    rows : shape (n,)
-        Rows that the ridges were fitted on.
-    ridges
-        The fitted ridges.
-
+    `rows`, shape (n,): rows that the ridges were fitted on. `ridges`: the fitted ridges.
     """
     largest = 1e-12
     for run in np.unique(inputs.run[rows]):

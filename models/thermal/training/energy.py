@@ -28,15 +28,8 @@ def energy_efficiency(process: Process, *, chiller_kw: float, chiller_h: float) 
 
     Result: 0..1. Raises ValueError when power or time is negative, or the chiller runs longer than the process.
 
-    Parameters
-    ----------
-    process
-        Energy and time of the part.
-    chiller_kw
-        Power of the chiller while it runs [kW].
-    chiller_h
-        How long it runs during the process [h]: all of it, or less with idle reduction or switched off.
-
+    `process`: energy and time of the part. `chiller_kw`: power of the chiller while it runs [kW]. `chiller_h`: how long
+    it runs during the process [h]: all of it, or less with idle reduction or switched off.
     """
     if not (chiller_kw >= 0.0 and 0.0 <= chiller_h <= process.time_h * (1.0 + 1e-9)):
         raise ValueError(f"a chiller of {chiller_kw:g} kW cannot run {chiller_h:g} h of {process.time_h:g} h")

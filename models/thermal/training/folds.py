@@ -64,15 +64,8 @@ def inner_folds(inputs: Inputs, rows: BoolArray, fewest_runs: int = FEWEST_CYCLE
     Result: number of the fold of every row, shape (n,), -1 for a row that is never left out, and what the folds are:
     `run`, `cycle` or `block`.
 
-    Parameters
-    ----------
-    inputs
-        The recordings.
-    rows : shape (n,)
-        Training rows; nothing else is looked at.
-    fewest_runs
-        With fewer runs than this they are not left out one by one.
-
+    `rows`, shape (n,): training rows; nothing else is looked at. `fewest_runs`: with fewer runs than this they are not
+    left out one by one.
     """
     fold = np.full(inputs.rows, -1, dtype=np.intp)
     runs = [run for run in np.unique(inputs.run[rows]) if (rows & (inputs.run == run)).sum() >= SHORTEST_FOLD_ROWS]

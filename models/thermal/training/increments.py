@@ -60,16 +60,9 @@ def increments(stretches: Iterable[tuple[FloatArray, FloatArray]], interval_min:
     Result: in the order of the stretches and of time; perhaps none. Raises DatasetError when the interval is no
     multiple of the sampling.
 
-    Parameters
-    ----------
-    stretches
-        Temperatures [degC], shape (n, n_sensors), and displacements [um], shape (n, n_channels), of rows that follow
-        each other without a gap.
-    interval_min
-        A whole multiple of the time between rows [min].
-    period_s
-        Time between rows [s].
-
+    `stretches`: temperatures [degC], shape (n, n_sensors), and displacements [um], shape (n, n_channels), of rows that
+    follow each other without a gap. `interval_min`: a whole multiple of the time between rows [min]. `period_s`: time
+    between rows [s].
     """
     step = rows_per_interval(interval_min, period_s)
     temperature, displacement, left_out = [], [], 0
@@ -122,15 +115,8 @@ def fit_each(factor: Factor, *, intercept: bool, penalties: Sequence[float]) -> 
     Raises DatasetError when ordinary least squares has fewer rows than variables, and ValueError when a penalty is
     negative or not finite.
 
-    Parameters
-    ----------
-    factor
-        Of the increments, see `factorise`.
-    intercept
-        Whether b_0 is fitted; it integrates into a linear drift.
-    penalties
-        Each not negative [K^2]; 0 is ordinary least squares.
-
+    `factor`: of the increments, see `factorise`. `intercept`: whether b_0 is fitted; it integrates into a linear drift.
+    `penalties`: each not negative [K^2]; 0 is ordinary least squares.
     """
     for ridge in penalties:
         if not (np.isfinite(ridge) and ridge >= 0.0):

@@ -96,16 +96,9 @@ def build_inputs(
     Result: with as many rows as the averaged recordings have. Raises DatasetError when the recordings do not have the
     same columns or sampling.
 
-    Parameters
-    ----------
-    recordings
-        With the same columns; each counts its time from its own first row. Spindle speed is used
-        when all of them have it.
-    sample_s
-        They are averaged to this time between rows [s].
-    lags_min, speed_lags_min
-        Time constants [min].
-
+    `recordings`: with the same columns; each counts its time from its own first row. Spindle speed is used when all of
+    them have it. `sample_s`: they are averaged to this time between rows [s]. `lags_min`, `speed_lags_min`: time
+    constants [min].
     """
     require_same_columns(recordings)
     averaged = averaged_recordings(recordings, sample_s)

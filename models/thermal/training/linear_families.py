@@ -123,15 +123,8 @@ def lasso_path(x: FloatArray, y: FloatArray, relative_alphas: Sequence[float]) -
     Result of shape (len(relative_alphas), d): found by least angle regression, along which every solution between two
     knots is a line.
 
-    Parameters
-    ----------
-    x : shape (n, d)
-        Centred and scaled columns.
-    y : shape (n,)
-        Centred target [um].
-    relative_alphas
-        Decreasing, from 1.
-
+    `x`, shape (n, d): centred and scaled columns. `y`, shape (n,): centred target [um]. `relative_alphas`: decreasing,
+    from 1.
     """
     from sklearn.linear_model import lars_path_gram  # noqa: PLC0415
 

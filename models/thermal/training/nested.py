@@ -54,15 +54,8 @@ class NestedFits:
 
         Result of shape (n, n_sensors): column k - 1 is of the first k sensors of the order [um].
 
-        Parameters
-        ----------
-        change_k : shape (n, n_sensors)
-            Temperatures since the reference, in the order of the recording [K].
-        elapsed_min : shape (n,)
-            Time since the reference [min].
-        output
-            Which output.
-
+        `change_k`, shape (n, n_sensors): temperatures since the reference, in the order of the recording [K].
+        `elapsed_min`, shape (n,): time since the reference [min]. `output`: which output.
         """
         centred = change_k[:, self.order] - np.multiply.outer(elapsed_min, self.mean_change_k)
         independent = len(self.inverse)
@@ -82,15 +75,8 @@ def nested_fits(factor: Factor, order: Sequence[int] | npt.NDArray[np.intp], *, 
 
     Result: for every number of sensors from 1 to the length of the order.
 
-    Parameters
-    ----------
-    factor
-        Of all increments, see `models.thermal.training.increments.factorise` and `combine`.
-    order
-        Indices of the sensors to use, each at most once.
-    intercept
-        Whether b_0 is fitted.
-
+    `factor`: of all increments, see `models.thermal.training.increments.factorise` and `combine`. `order`: indices of
+    the sensors to use, each at most once. `intercept`: whether b_0 is fitted.
     """
     places = np.asarray(order, dtype=np.intp)
     first = 1 if intercept else 0

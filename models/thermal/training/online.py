@@ -46,15 +46,9 @@ def follow(model: ThermalModel, inputs: Inputs, rows: IntArray) -> Followed:
     is missing nothing is followed, nor in the row after it, whose mean is not whole, nor at all where it is missing at
     the reference. A machine also drops what lies outside its travel; of that a recording says nothing.
 
-    Parameters
-    ----------
-    model
-        Of whatever family; its sensors are among those of the inputs.
-    inputs
-        The recordings, in the model's time between rows.
-    rows : shape (n,)
-        Increasing; a reference is set at the first. What the run holds before them is the history.
-
+    `model`: of whatever family; its sensors are among those of the inputs. `inputs`: the recordings, in the model's
+    time between rows. `rows`, shape (n,): increasing; a reference is set at the first. What the run holds before them
+    is the history.
     """
     online = model.runtime(Machine(components={}))
     places = [inputs.sensor_names.index(name) for name in model.sensor_names]

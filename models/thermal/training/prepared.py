@@ -49,17 +49,8 @@ def prepare(
 
     Raises DatasetError when too few rows are complete.
 
-    Parameters
-    ----------
-    recordings, sample_s
-        See `build_inputs`.
-    recipe
-        How the family is prepared.
-    wanted : shape (n,)
-        Rows that may be trained on; None for all.
-    probe_min
-        Time between probes [min] for which it is chosen; None without probes.
-
+    `recordings`, `sample_s`: see `build_inputs`. `recipe`: how the family is prepared. `wanted`, shape (n,): rows that
+    may be trained on; None for all. `probe_min`: time between probes [min] for which it is chosen; None without probes.
     """
     inputs = build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())
     wanted = np.ones(inputs.rows, dtype=np.bool_) if wanted is None else wanted

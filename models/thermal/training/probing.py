@@ -13,15 +13,9 @@ def wander_um2_per_min(time_min: FloatArray, residual_um: FloatArray, over_min: 
 
     Result of shape (n_channels,): [um^2/min]; zeros when the record is shorter than that.
 
-    Parameters
-    ----------
-    time_min : shape (n,)
-        Increasing times [min].
-    residual_um : shape (n, n_channels)
-        Measured minus estimated on rows that were not trained on [um], NaN where missing.
-    over_min
-        Time over which changes are taken [min]: that between two probes.
-
+    `time_min`, shape (n,): increasing times [min]. `residual_um`, shape (n, n_channels): measured minus estimated on
+    rows that were not trained on [um], NaN where missing. `over_min`: time over which changes are taken [min]: that
+    between two probes.
     """
     later = np.searchsorted(time_min, time_min + over_min)
     begins = np.flatnonzero(later < len(time_min))

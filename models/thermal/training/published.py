@@ -85,15 +85,8 @@ def prepare(number: int, recording: Recording, length_sensors: Sequence[str]) ->
     Result: with the triangular factors of its increments. Raises DatasetError when speed, a channel or a temperature is
     missing, or a value is.
 
-    Parameters
-    ----------
-    number
-        Its number in the programme.
-    recording
-        One row per minute, with spindle speed and Y2, Z1, Z2; the first row is the reference.
-    length_sensors
-        Names of the temperatures that TL takes (Room and IR).
-
+    `number`: its number in the programme. `recording`: one row per minute, with spindle speed and Y2, Z1, Z2; the first
+    row is the reference. `length_sensors`: names of the temperatures that TL takes (Room and IR).
     """
     if recording.speed_rpm is None:
         raise DatasetError(f"{recording.name}: has no spindle speed, which the model of the test bar's length takes")

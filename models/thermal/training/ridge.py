@@ -44,17 +44,8 @@ class RidgeProblem:
 
     Every run has an intercept of its own, because the zero of its displacements is its own.
 
-    Parameters
-    ----------
-    inputs
-        The recordings.
-    rows : shape (n,)
-        Training rows.
-    fold : shape (n,)
-        Fold of every row; -1 is never left out.
-    design
-        Columns and rows.
-
+    `rows`, shape (n,): training rows. `fold`, shape (n,): fold of every row; -1 is never left out. `design`: columns
+    and rows.
     """
 
     def __init__(self, inputs: Inputs, rows: BoolArray, fold: IntArray, design: Design) -> None:

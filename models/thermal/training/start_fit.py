@@ -14,13 +14,8 @@ FEWEST_BEGINNINGS = 3
 def fit_start(inputs: Inputs, rows: BoolArray, coefficients: FloatArray) -> StartDeviation:
     """Return what training says of lags that begin at equilibrium.
 
-    Parameters
-    ----------
-    inputs, rows
-        Training rows.
-    coefficients : shape (layout.columns, n_channels)
-        Of a model that is linear in the features, or nearly so [um per unit of the feature].
-
+    `inputs`, `rows`: training rows. `coefficients`, shape (layout.columns, n_channels): of a model that is linear in
+    the features, or nearly so [um per unit of the feature].
     """
     layout, features, sensors = inputs.layout, inputs.features[rows], inputs.layout.sensors
     degc, added = features[:, :sensors], []

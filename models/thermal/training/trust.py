@@ -80,15 +80,8 @@ def judge(
     folds, each predicted only from what came before it, of which the latest count most. Parts of one or two runs
     are not independent of each other: there every one must have positive skill.
 
-    Parameters
-    ----------
-    inputs, rows, fold
-        Training rows and their folds, see `inner_folds`.
-    problem
-        The prepared family.
-    probe_min
-        Time between probes [min] for which the band is wanted; None without probes.
-
+    `inputs`, `rows`, `fold`: training rows and their folds, see `inner_folds`. `problem`: the prepared family.
+    `probe_min`: time between probes [min] for which the band is wanted; None without probes.
     """
     numbers = fold_numbers(rows, fold)
     nothing = np.full(len(inputs.channels), np.nan)
@@ -288,15 +281,8 @@ def fit_bias_filter(inputs: Inputs, rows: BoolArray, series_um: FloatArray, prob
     residual gains beyond that noise between two probes, or over half an hour where probes come more often: what a model
     misses drifts, which nothing shows within the noise of a minute. A correction is bounded by the channel's span.
 
-    Parameters
-    ----------
-    inputs, rows
-        Training rows.
-    series_um : shape (n, n_channels)
-        What the model left of rows it was not fitted on, see `left_out_series_um` [um].
-    probe_min
-        Time between probes [min].
-
+    `inputs`, `rows`: training rows. `series_um`, shape (n, n_channels): what the model left of rows it was not fitted
+    on, see `left_out_series_um` [um]. `probe_min`: time between probes [min].
     """
     segments = fold_segments(inputs, rows)
     noise_um = scatter_um([inputs.measured_um[part] for part in segments])

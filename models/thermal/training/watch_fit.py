@@ -47,17 +47,8 @@ def fit_watch(recordings: Sequence[Recording], sample_s: float, rows: BoolArray,
     Damping, and whether lagged spindle speed helps, are chosen by the mean logarithm of the largest
     left-out departure.
 
-    Parameters
-    ----------
-    recordings
-        As for `build_inputs`.
-    sample_s
-        Time between rows [s].
-    rows : shape (n,)
-        Training rows.
-    fold : shape (n,)
-        What is left out in turn, see `inner_folds`.
-
+    `recordings`: as for `build_inputs`. `sample_s`: time between rows [s]. `rows`, shape (n,): training rows. `fold`,
+    shape (n,): what is left out in turn, see `inner_folds`.
     """
     best: tuple[float, Layout, float, FloatArray] | None = None
     inputs = build_inputs(recordings, sample_s=sample_s, lags_min=WATCH_LAGS_MIN, speed_lags_min=WATCH_LAGS_MIN)

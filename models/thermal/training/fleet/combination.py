@@ -85,17 +85,8 @@ def combination(
     Its shares a solve ``min |y - sum_m a_m X w_m|^2 + p |a - 1/M|^2`` with all a_m >= 0, each channel over its own sum
     of squares, so that without anything to say it is the mean.
 
-    Parameters
-    ----------
-    products
-        Of the recordings.
-    members : shape (M, k, n_channels)
-        The sisters' models.
-    pull
-        p over M times what the mean explains of a channel.
-    by_channel
-        Each channel has shares of its own.
-
+    `products`: of the recordings. `members`, shape (M, k, n_channels): the sisters' models. `pull`: p over M times what
+    the mean explains of a channel. `by_channel`: each channel has shares of its own.
     """
     from scipy.optimize import nnls  # noqa: PLC0415 - never loaded by the resident daemon
 

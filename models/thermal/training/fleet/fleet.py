@@ -158,17 +158,8 @@ def machine_sample(
 ) -> Sample:
     """Return what a machine tells of the space of its type; raises DatasetError.
 
-    Parameters
-    ----------
-    machine
-        Its name.
-    recordings, parts
-        With the same columns, and where each temperature sits.
-    of_type, channels
-        Places of the type's sensors, and its displacement channels.
-    sample_s
-        Time between averaged rows [s].
-
+    `machine`: its name. `recordings`, `parts`: with the same columns, and where each temperature sits. `of_type`,
+    `channels`: places of the type's sensors, and its displacement channels. `sample_s`: time between averaged rows [s].
     """
     kept, own, _ = usable_parts(recordings, parts, sample_s)
     table = matching(of_type, own, machine)

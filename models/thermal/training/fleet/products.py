@@ -113,15 +113,8 @@ def summed(products: Iterable[Products]) -> Products:
 def products_of(inputs: Inputs, reduced: FloatArray, rows: BoolArray) -> Products:
     """Return the cross products of some rows.
 
-    Parameters
-    ----------
-    inputs
-        The recordings.
-    reduced : shape (n, k)
-        Their features in the directions of the space.
-    rows : shape (n,)
-        Which of them; every one is complete.
-
+    `reduced`, shape (n, k): their features in the directions of the space. `rows`, shape (n,): which of them; every one
+    is complete.
     """
     channels, size = len(inputs.channels), reduced.shape[1]
     found = Products(
