@@ -252,6 +252,8 @@ class Daemon:
                 await self._run()
         finally:
             await asyncio.to_thread(self._history.close)
+            self._last_block.follow(self._history, begun=self.control.memory is not None)
+            self._last_block.close()
 
     async def _run(self) -> None:
         self._report("daemon", "started")
@@ -286,7 +288,6 @@ class Daemon:
                 job.stop()
             self._displacements.flush()
             self._report("daemon", "stopped")
-            self._last_block.close()
             self.spindle_speed.close()
 
     def _work(self) -> Iterator[Coroutine[Any, Any, None]]:
@@ -337,6 +338,7 @@ class Daemon:
         self._publish_links()
         self.snapshots.jobs = job_snapshots(self._history, self._jobs)
         self.snapshots.history = HistorySnapshot(acknowledged=dict(self.acknowledged), problem=self._history_problem)
+        self._last_block.follow(self._history, begun=self.control.memory is not None)
 
     def _publish_links(self) -> None:
         self.snapshots.links = self._links.snapshots()

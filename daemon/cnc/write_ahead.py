@@ -4,7 +4,8 @@ The audit's commit takes a disk's time and the write does not wait for it, so a 
 killed in between would find a block in the CNC that its audit does not know. These few bytes are
 handed to the operating system before the first macro goes out: they survive the process. They do not
 survive a power cut, after which an older line may stand here than in the audit; therefore the line says
-which write of the audit it belongs to, and the newer of the two counts.
+which write of the audit it belongs to, and the newer of the two counts. A last line says that the store could not be
+written: a full disk still lets bytes be written over, and nothing that such a store holds is gone on with.
 """
 
 import json
@@ -15,10 +16,13 @@ from pathlib import Path
 
 import structlog
 
+from daemon.history.writer import HistoryWriter
+
 log = structlog.get_logger(__name__)
 
 LONGEST_LINE = 4096
-"""The file is two lines of together at most so many bytes, written by one call: the values, and the write's number."""
+"""The file's lines have together at most so many bytes, written by one call: values, the write's number, BEHIND."""
+BEHIND = b"the store is behind\n"
 
 Possible = Mapping[int, tuple[float, ...]]
 
@@ -33,6 +37,11 @@ class WriteAheadRecord:
         """Length of the file, as far as it is ours."""
         self._identity = (0, 0)
         """Device and number of the open file."""
+        self._problem = ""
+        content = self._content()
+        self.behind = BEHIND in content
+        """The store lacks what was to be recorded last."""
+        self._lines = b"".join((*content.splitlines(keepends=True), b"\n", b"\n")[:2])
 
     @classmethod
     def beside(cls, store: Path) -> "WriteAheadRecord":
@@ -53,17 +62,31 @@ class WriteAheadRecord:
         line = _checksum(content) + b" " + content + b"\n"
         if write_id is not None:
             number = str(write_id).encode()
-            line += _checksum(content + number) + b" " + number + b"\n"
+            line += _checksum(content + number) + b" " + number
+        self._lines = line + b"\n"
+        self._write()
+
+    def follow(self, history: HistoryWriter, *, begun: bool) -> None:
+        """Keep whether the store lacks anything; what it lacks of the run before counts until the output has begun."""
+        behind = bool(history.problem) or (self.behind and bool(not begun or history.waiting))
+        if behind is not self.behind:
+            self.behind = behind
+            self._write()
+
+    def _write(self) -> None:
+        content = self._lines + (BEHIND if self.behind else b"")
         try:
-            if len(line) > LONGEST_LINE:
-                raise OSError(f"{len(line)} bytes are more than {LONGEST_LINE}")
+            if len(content) > LONGEST_LINE:
+                raise OSError(f"{len(content)} bytes are more than {LONGEST_LINE}")
             descriptor = self._opened()
-            self._length = max(
-                self._length, len(line)
-            )  # never cut short: that would wait for the file system's journal
-            os.pwrite(descriptor, line.ljust(self._length, b"\n"), 0)
+            # Never cut short: that would wait for the file system's journal.
+            self._length = max(self._length, len(content))
+            os.pwrite(descriptor, content.ljust(self._length, b"\n"), 0)
+            self._problem = ""
         except OSError as error:
-            log.error("last_block.unwritten", path=str(self._path), problem=str(error))
+            if str(error) != self._problem:
+                self._problem = str(error)
+                log.error("last_block.unwritten", path=str(self._path), problem=self._problem)
 
     def _opened(self) -> int:
         """Return the file's descriptor; a file that was deleted or replaced meanwhile is opened anew."""
@@ -114,16 +137,19 @@ class WriteAheadRecord:
 
     def _read(self) -> tuple[dict[int, tuple[float, ...]], int | None] | None:
         """Return what was kept last, and the number of its write; None where there is no whole line."""
-        try:
-            content, _, rest = self._path.read_bytes()[:LONGEST_LINE].partition(b"\n")
-        except OSError:
-            return None
+        content, _, rest = self._content().partition(b"\n")
         checksum, _, content = content.partition(b" ")
         if checksum != _checksum(content):
             return None
         checksum, _, number = rest.partition(b"\n")[0].partition(b" ")
         write_id = int(number) if number.isdigit() and checksum == _checksum(content + number) else None
         return {int(number): tuple(values) for number, values in json.loads(content).items()}, write_id
+
+    def _content(self) -> bytes:
+        try:
+            return self._path.read_bytes()[:LONGEST_LINE]
+        except OSError:
+            return b""
 
     def close(self) -> None:
         if self._descriptor is not None:

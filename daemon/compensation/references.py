@@ -196,13 +196,12 @@ class References:
         return reference_restart.away_s(self.left, sample)
 
     def restart(
-        self, output: OutputMemory, axes: tuple[str, ...], model_id: str | None, *, resumable: bool
+        self, output: OutputMemory, axes: tuple[str, ...], model_id: str | None, *, refused: str
     ) -> OutputMemory:
         """Go on from what the previous run left, as far as it holds; return the output's memory with it."""
-        if self.left is None or not resumable:
+        if self.left is None or refused:
             if self.left is not None and self.current is None:
-                why = f"the daemon was away for longer than {self._rules.max_outage_s:g} s (reference.max_outage_s)"
-                self.memory = replace(self.memory, ended=why)
+                self.memory = replace(self.memory, ended=refused)
             self.left = None
             return output
         self._step(

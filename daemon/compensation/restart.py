@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from itertools import compress
 from typing import NamedTuple
 
+import numpy as np
 import structlog
 
 from config.schema import Configuration
@@ -14,7 +15,7 @@ from daemon.cnc.session import CncSession
 from daemon.cnc.write_ahead import WriteAheadRecord
 from daemon.compensation.references import References
 from daemon.history.writer import HistoryWriter
-from daemon.state_store.documents import DaemonAlive, OutputFault, WantedAxes
+from daemon.state_store.documents import DaemonAlive, OutputFault, SpindleSpeedSwitch, WantedAxes
 from daemon.state_store.store import StateStore
 from drivers.clock import Clock
 from models.control.compensation import initial_memory
@@ -37,32 +38,29 @@ class ResumePoint:
 
     wanted: tuple[bool, ...]
     known_macros: dict[int, tuple[float, ...]] | None
-    resumable: bool = True
-    """The outage was short enough to go on as before."""
+    refused: str = ""
+    """Why it does not go on as before, '' when it may."""
+    undecided: frozenset[str] = frozenset()
+    """Axes on which nobody has decided since an earlier run did not go on as before."""
     faults: tuple[str, ...] = ()
     """The reasons of the latched FAULT that has not been acknowledged."""
     open_writes: tuple[OpenWrite, ...] = ()
     """The intents without an outcome, one that the store has not got yet with them."""
 
 
-def wanted_at_start(resume: ResumePoint, applied_um: FloatArray, *, in_time: bool) -> tuple[bool, ...]:
+def wanted_at_start(wanted: Sequence[bool], undecided: Sequence[bool], applied_um: FloatArray) -> tuple[bool, ...]:
     """Return which axes stay switched on at the first contact with the CNC.
 
-    After too long an outage that is only what still carries an offset: it is held until a person decides.
+    Of those on which a person must decide that is only what still carries an offset: it is held until then.
     """
-    if resume.resumable and in_time:
-        return resume.wanted
-    return tuple(bool(abs(um) > ECHO_SLACK_UM) for um in applied_um)
+    moved = np.abs(applied_um) > ECHO_SLACK_UM
+    return tuple(bool(each) for each in np.where(undecided, moved, wanted))
 
 
-def record_changes(
-    journal: Journal, axes: Sequence[str], before: OutputMemory, after: OutputMemory, alarm: str
-) -> None:
-    """Record a change of state and of the alarm, and keep what a restart takes up again."""
+def record_changes(journal: Journal, before: OutputMemory, after: OutputMemory, alarm: str) -> None:
+    """Record a change of state and of the alarm."""
     if after.state is not before.state:
         journal.say("state", f"{before.state.value} -> {after.state.value}: {after.reason}")
-    if after.wanted != before.wanted or after.state is not before.state:
-        journal.keep(WantedAxes(axes=dict(zip(axes, after.wanted, strict=True))))
     if before.tools and not after.tools:
         numbers = ", ".join(f"T{number}" for number in sorted(before.tools))
         journal.notice(f"the tool settings of {numbers} have ended; set these tools again")
@@ -79,9 +77,16 @@ def load_resume_point(
     store = StateStore(history, clock)
     wanted, fault, alive = store.get(WantedAxes), store.get(OutputFault), store.get(DaemonAlive)
     outage_s = clock.now().utc_s - alive.utc_s if alive is not None else float("inf")
-    resumable = 0 <= outage_s <= configuration.compensation.reference.max_outage_s
-    if alive is not None and not resumable:
-        log.warning("resume.too_old", outage_s=outage_s)
+    longest_s, refused = configuration.compensation.reference.max_outage_s, ""
+    if not 0 <= outage_s <= longest_s:
+        refused = f"the daemon was away for longer than {longest_s:g} s (reference.max_outage_s)"
+    if last_block.behind:
+        refused = STORE_BEHIND
+        history.event("audit gap", STORE_BEHIND, "daemon")
+        if configuration.spindle_speed is not None:
+            store.put(SpindleSpeedSwitch(off_by="a start on a store that could not be written"))
+    if alive is not None and refused:
+        log.warning("resume.refused", why=refused)
     newest = history.last_write_id()
     known, lost = last_block.newer_of(history.last_written_macros(), newest)
     open_writes = [OpenWrite(record.write_id, record.macros) for record in history.unsettled_writes()]
@@ -94,13 +99,16 @@ def load_resume_point(
         history.event("audit gap", f"the daemon ended while writing; not in the audit: {lost}", "daemon")
     return ResumePoint(
         wanted=tuple(wanted is not None and wanted.axes.get(axis, False) for axis in axes),
-        resumable=resumable,
+        refused=refused,
+        undecided=frozenset(() if wanted is None else wanted.undecided),
         faults=() if fault is None else fault.reasons,
         known_macros=known,
         open_writes=tuple(open_writes),
     )
 
 
+STORE_BEHIND = "the store could not be written when the daemon ended, so what it holds of then is not gone on with"
+UNEXPLAINED = "what the CNC holds is not what the store says was written last, so it is not gone on with"
 KEPT_CAUSE = "last block"
 """Cause in the audit of a write whose intent it had not got when the daemon was killed."""
 NOT_REACHED = "the CNC has not been reached yet, so what it applies is unknown"
@@ -126,6 +134,7 @@ class StartupRecovery:
         self._max_outage_s = max_outage_s
         self._open_writes = resume.open_writes
         self._waiting: frozenset[str] = frozenset()
+        self._kept: WantedAxes | None = None
         self.not_begun = NOT_REACHED
         """Why nothing has begun, '' when it has."""
 
@@ -137,24 +146,35 @@ class StartupRecovery:
             log.warning("audit.settled", write=write.write_id, outcome=receipt.outcome.name.lower())
         self._open_writes = ()
 
-    def begin(self, session: CncSession, now_s: float) -> OutputMemory | None:
-        """Return the memory to begin with at the first contact; None while the echo is vacant."""
+    def begin(self, session: CncSession, now_s: float, *, explained: bool) -> OutputMemory | None:
+        """Return the memory to begin with at the first contact; None while the echo is vacant.
+
+        `explained`: the CNC holds what the previous run has left there, so what that has recorded is of then.
+        """
         assert session.echo is not None and session.sample is not None
-        applied_um = session.echo.applied_um
-        in_time = self._references.away_s(session.sample) <= self._max_outage_s
-        wanted = wanted_at_start(self._resume, applied_um, in_time=in_time)
+        applied_um, resume = session.echo.applied_um, self._resume
+        refused = resume.refused or ("" if explained else UNEXPLAINED)
+        anew = bool(refused) or self._references.away_s(session.sample) > self._max_outage_s
+        undecided = [anew or axis in resume.undecided for axis in self._axes]
+        wanted = wanted_at_start(resume.wanted, undecided, applied_um)
         try:
             memory = initial_memory(now_s=now_s, applied_um=applied_um, wanted=wanted)
         except ValueError as error:
             self.not_begun = self._journal.alarm = f"{error}: run the guard's initialising program, then acknowledge"
             return None
-        if not (self._resume.resumable and in_time):
-            self._waiting = frozenset(compress(self._axes, wanted))
+        self._waiting = frozenset(compress(self._axes, np.logical_and(undecided, wanted)))
         self._journal.say("start", f"{memory.state.value}: {memory.reason}")
-        resumable = self._resume.resumable
-        begun = self._references.restart(memory, self._axes, self._model_id, resumable=resumable)
+        begun = self._references.restart(memory, self._axes, self._model_id, refused=refused)
         self.not_begun = ""
         return begun
+
+    def keep(self, wanted: tuple[bool, ...]) -> None:
+        """Keep which axes are switched on for the next start, and on which of them nobody has decided yet."""
+        axes = dict(zip(self._axes, wanted, strict=True))
+        kept = WantedAxes(axes=axes, undecided=tuple(sorted(self._waiting)))
+        if kept != self._kept:
+            self._kept = kept
+            self._journal.keep(kept)
 
     def heed(self, request: OperatorRequest) -> OperatorRequest:
         """Take a person's decision on axes that wait; a decision on one leaves the others waiting.
@@ -177,7 +197,7 @@ class StartupRecovery:
         axes = " ".join(sorted(self._waiting))
         return Inhibit(
             code=InhibitCode.OUTAGE,
-            text="the daemon was away too long to go on by itself",
+            text="the daemon was away too long or could not write its store, so it does not go on by itself",
             remedy=f"`toolpoint enable {axes}` or `toolpoint disable {axes}`",
         )
 

@@ -229,7 +229,7 @@ class ControlTask:
         if self.memory is None:
             now = self._clock.now()
             self._startup.settle_writes(self._parts.history, sample, session.echo, now)
-            self.memory = self._startup.begin(session, now.monotonic_s)
+            self.memory = self._startup.begin(session, now.monotonic_s, explained=not problems)
             self._measured.on_sample(sample, self._estimate)
         self._references.keep()
 
@@ -265,7 +265,8 @@ class ControlTask:
         inhibit = follow_inhibit(after, inputs, self.limits)
         echo = self.session.echo if self.session is not None else None
         alarm = alarm_of(after, echo, now_s=inputs.now_s, guard=self.guard_watch, config=self._output, inhibit=inhibit)
-        record_changes(self.journal, self.limits.axes, before, after, alarm)
+        record_changes(self.journal, before, after, alarm)
+        self._startup.keep(after.wanted)
 
     def _now(self) -> OutputNow:
         inputs, now = self._inputs(NO_REQUEST), self._clock.now()

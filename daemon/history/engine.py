@@ -12,7 +12,7 @@ import structlog
 from daemon.history.database import HistoryError, connect_writer
 from daemon.history.intake import Entry, Intake, LayoutIds
 from daemon.history.layout import MachineLayout
-from daemon.history.rows import ACKNOWLEDGE
+from daemon.history.rows import ACKNOWLEDGE, PUT_STATE
 from daemon.history.store_lock import Kept, StoreIdentity, StoreLostError, WriterLock
 
 log = structlog.get_logger(__name__)
@@ -67,7 +67,7 @@ class Engine:
         on_lost: Callable[[str], object],
         kept: Callable[[], Kept],
     ) -> None:
-        """`on_lost` is called when a lost store is begun anew; `kept` returns the states that a new one gets."""
+        """`on_lost` is called when a lost store is begun anew; `kept` returns the states of this run."""
         self._path, self._intake, self._layout, self._lock = path, intake, layout, lock
         self._on_lost, self._kept = on_lost, kept
         self._identity = StoreIdentity()
@@ -85,6 +85,8 @@ class Engine:
         self._opened = threading.Event()
         self._give_up_s = float("inf")
         self._reported_dropped: Counter[str] = Counter()
+        self._dropped_states = 0
+        """States among the dropped that the store has got since."""
         self.refusal: HistoryError | None = None
         self.last_write_id: int | None = None
         self._thread = threading.Thread(target=self._run, name="history-writer", daemon=True)
@@ -172,7 +174,10 @@ class Engine:
                 raise Unwritable(entry, error) from error
         latest = {e.acknowledges[0]: e.acknowledges for e in records if e.acknowledges}
         connection.executemany(ACKNOWLEDGE, latest.values())
+        if (dropped := self._intake.dropped["states"]) > self._dropped_states:
+            connection.executemany(PUT_STATE, self._kept())
         connection.execute("COMMIT")
+        self._dropped_states = dropped
         self._prove()
         self._secure_log(connection)
 

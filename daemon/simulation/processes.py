@@ -27,7 +27,7 @@ from config.schema.cnc import CncConfig
 from daemon.monitor.control_client import ControlClient, DaemonUnreachableError
 from daemon.simulation import SimulationError
 from drivers.contract import SIMULATED_CNC_IDENTITY
-from drivers.opcua.certificates import create_application_certificate
+from drivers.opcua.new_certificate import create_application_certificate
 
 LEAD_PER_LOADING = 2.5
 """The simulated time starts when the daemon is ready, after so many times what the simulated machine took to load:

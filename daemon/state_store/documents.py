@@ -23,9 +23,10 @@ class CalendarOfBoot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WantedAxes:
-    """Which axes a person had switched on."""
+    """Which axes a person had switched on, and those of them on which a person must decide anew."""
 
     axes: Mapping[str, bool]
+    undecided: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

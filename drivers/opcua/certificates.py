@@ -1,57 +1,21 @@
-"""Certificates of OPC UA applications: making a self-signed one, and reading what is there, with the user and password.
+"""Certificates of OPC UA applications, with user and password: reading what is there.
 
 OPC UA identifies an application by a URI that must stand in the certificate's subject alternative
 name, equal to the URI that the application calls itself.
 """
 
 import hashlib
-import os
 import stat
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from asyncua.crypto.cert_gen import (
-    dump_private_key_as_pem,
-    generate_private_key,
-    generate_self_signed_app_certificate,
-)
 from cryptography import x509
 from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
-from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from config.schema.cnc_drivers import OpcUaSecurityConfig
 from drivers.contract import FatalDriverError
-
-DEFAULT_DAYS = 3650
-
-
-def create_application_certificate(
-    certificate: Path,
-    private_key: Path,
-    *,
-    application_uri: str,
-    host_name: str,
-    days: int = DEFAULT_DAYS,
-    server: bool = False,
-) -> x509.Certificate:
-    """Make a key and a self-signed certificate for a client (or server) and write both to new files.
-
-    The key is written as PEM with mode 600, the certificate as DER when its name ends in .der, else
-    as PEM. Existing files are never overwritten (FatalDriverError).
-    """
-    for path in (certificate, private_key):
-        if path.exists():
-            raise FatalDriverError(f"{path} exists already and is not overwritten; move it away first")
-    key = generate_private_key()
-    names: list[x509.GeneralName] = [x509.UniformResourceIdentifier(application_uri), x509.DNSName(host_name)]
-    usage = ExtendedKeyUsageOID.SERVER_AUTH if server else ExtendedKeyUsageOID.CLIENT_AUTH
-    made = generate_self_signed_app_certificate(key, application_uri, {}, names, extended=[usage], days=days)
-    encoding = serialization.Encoding.DER if certificate.suffix.lower() == ".der" else serialization.Encoding.PEM
-    _write_new(private_key, dump_private_key_as_pem(key), 0o600)
-    _write_new(certificate, made.public_bytes(encoding), 0o644)
-    return made
 
 
 def load_certificate(path: Path) -> x509.Certificate:
@@ -109,13 +73,6 @@ def read_file(path: Path, what: str) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise FatalDriverError(f"cannot read the {what} {path}: {error.strerror or error}") from error
-
-
-def _write_new(path: Path, content: bytes, mode: int) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
-    with os.fdopen(descriptor, "wb") as file:
-        file.write(content)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -33,7 +33,7 @@ from daemon.history.decimation import SeriesReader
 from daemon.monitor.accounts import Account, Role, hashed, write_accounts
 from daemon.simulation.demonstration import switch_on
 from daemon.simulation.processes import free_port, start_simulation, write_simulation_configuration
-from drivers.opcua.certificates import create_application_certificate
+from drivers.opcua.new_certificate import create_application_certificate
 
 TURN_S = 20.0
 SETTLING_S = 30.0

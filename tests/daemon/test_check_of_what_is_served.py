@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from config.sample import sample_configuration
 from daemon.cli import main
-from drivers.opcua.certificates import create_application_certificate
+from drivers.opcua.new_certificate import create_application_certificate
 
 
 @pytest.fixture

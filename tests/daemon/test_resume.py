@@ -48,12 +48,14 @@ def test_only_a_short_outage_is_resumed(configuration, clock, outage_s, resumed)
     clock.monotonic_s += outage_s
     point = load_resume_point(configuration, history_of(configuration, clock), clock, block_of(configuration))
     assert point.wanted == (False, True, True)
-    assert point.resumable == resumed
-    applied_um = np.array([0.0, 0.0, 5.0])
-    assert wanted_at_start(point, applied_um, in_time=True) == (
-        (False, True, True) if resumed else (False, False, True)
-    )
-    assert wanted_at_start(point, applied_um, in_time=False) == (False, False, True)
+    assert not point.refused if resumed else "away for longer than 600 s" in point.refused
+
+
+def test_what_carries_no_offset_is_off_until_a_person_decides():
+    wanted, applied_um = (False, True, True, True), np.array([0.0, 0.0, 5.0, 5.0])
+    assert wanted_at_start(wanted, [False] * 4, applied_um) == wanted
+    assert wanted_at_start(wanted, [True] * 4, applied_um) == (False, False, True, True)
+    assert wanted_at_start(wanted, [False, True, False, False], applied_um) == (False, False, True, True)
 
 
 def test_what_was_kept_before_the_write_counts_more_than_the_audit(configuration, clock):

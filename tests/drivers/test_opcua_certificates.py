@@ -11,10 +11,10 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from drivers.contract import FatalDriverError
 from drivers.opcua.certificates import (
     application_uri,
-    create_application_certificate,
     load_certificate,
     load_private_key,
 )
+from drivers.opcua.new_certificate import create_application_certificate
 
 
 @pytest.mark.parametrize("name", ["client.der", "client.pem"])

@@ -213,6 +213,7 @@ class Rig:
     def alive(self) -> None:
         """Tell the store that the daemon lives, as its tick does."""
         StateStore(self.history, self.clock).put(DaemonAlive(utc_s=self.clock.now().utc_s))
+        self.last_block.follow(self.history, begun=self.control.memory is not None)
 
     def _switch(self, on: bool, person: str) -> str:
         refusal = self.speed.turn(on=on, person=person)
@@ -354,4 +355,5 @@ async def running(rig: Rig, *, connect: bool = True) -> AsyncIterator[Rig]:
         keeper.cancel()
         await asyncio.gather(keeper, return_exceptions=True)
         await asyncio.to_thread(rig.history.close)
+        rig.last_block.follow(rig.history, begun=rig.control.memory is not None)
         rig.last_block.close()

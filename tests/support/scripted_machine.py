@@ -13,7 +13,7 @@ from config.schema.cnc_drivers import OpcUaConfig, OpcUaSecurityConfig
 from config.schema.compensation import AxisConfig, CompensationConfig
 from config.schema.displacements import DisplacementChannelConfig, DisplacementFileConfig, DisplacementsConfig
 from config.schema.temperatures import LineConfig, SensorConfig, TemperaturesConfig
-from drivers.opcua.certificates import create_application_certificate
+from drivers.opcua.new_certificate import create_application_certificate
 from drivers.sim.contract import AxisTruth
 from drivers.sim.wires.opcua_server import ServerSecurity
 
