@@ -5,12 +5,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from asyncua import ua
+
 from config.schema.cnc_drivers import NEEDED_NODES, NO_NODE, SINUMERIK_NAMESPACE, OpcUaSecurityConfig
 from config.schema.guard import GuardConfig
-from drivers.opcua.browsing import Browsed, Browser, Variable
+from drivers.opcua.browsing import Browsed, Variable, browse, values_of
 from drivers.opcua.sinumerik import sinumerik_map
+from drivers.opcua.tags import TagSession
 from drivers.opcua.variables import FANUC_NODES
 
+READ_AT_ONCE = 25
+"""Some variables hold whole tables or programs."""
 USUAL_NAMES: dict[str, tuple[str, ...]] = {
     "mode": ("mode", "opmode", "operatingmode", "operationmode", "ncmode", "aut"),
     "run": ("runstate", "run", "runstatus", "progstatus", "programstatus", "executionstate", "execution"),
@@ -52,22 +57,34 @@ class Proposal:
         return section | ({"nodes": nodes} if nodes else {})
 
 
+@dataclass(frozen=True, slots=True)
+class _Place:
+    endpoint: str
+    security: OpcUaSecurityConfig | None
+    timeout_s: float
+
+
 async def look(
     endpoint: str, security: OpcUaSecurityConfig | None, timeout_s: float, guard: GuardConfig | None = None
 ) -> tuple[Browsed, Proposal | None]:
     """Return what the server shows, and a proposal where anything has a usual name; raises DriverError."""
-    async with Browser(endpoint, security, timeout_s) as browser:
-        browsed = await browser.browse()
+    session = TagSession(_Place(endpoint, security, timeout_s), endpoint, READ_AT_ONCE)
+    try:
+        await session.connect()
+        browsed = await browse(session)
         if SINUMERIK_NAMESPACE not in browsed.namespaces:
             return browsed, propose(browsed)
         nodes = dict(sinumerik_map((guard or GuardConfig()).shown).nodes)
         nodes["macro"] = nodes["macro"].replace("{number}", "1")
-        held = await browser.values_of(SINUMERIK_NAMESPACE, list(nodes.values()))
-        values = dict(zip(nodes, held, strict=True))
-        missing = tuple(key for key, value in values.items() if value is None)
-        return browsed, Proposal(
-            preset="sinumerik", namespace=SINUMERIK_NAMESPACE, nodes={}, missing=missing, values=values
-        )
+        index = browsed.namespaces.index(SINUMERIK_NAMESPACE)
+        held = await values_of(session, [ua.NodeId.from_string(f"ns={index};{text}") for text in nodes.values()])
+    finally:
+        await session.close()
+    values = dict(zip(nodes, held, strict=True))
+    missing = tuple(key for key, value in values.items() if value is None)
+    return browsed, Proposal(
+        preset="sinumerik", namespace=SINUMERIK_NAMESPACE, nodes={}, missing=missing, values=values
+    )
 
 
 def propose(browsed: Browsed) -> Proposal | None:

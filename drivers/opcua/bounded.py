@@ -137,8 +137,8 @@ class BoundedProtocol(UASocketProtocol):
 
 
 def bounded_client(endpoint: str, timeout_s: float) -> Client:
-    """Return a client of the library whose connections are bounded."""
-    client = Client(endpoint, timeout=timeout_s)
+    """Return a client of the library whose connections are bounded, and whose watchdog waits as long as all else."""
+    client = Client(endpoint, timeout=timeout_s, watchdog_intervall=timeout_s)
     client.max_messagesize, client.max_chunkcount = LONGEST_MESSAGE, MOST_CHUNKS
     low: Any = client.uaclient
 

@@ -34,8 +34,8 @@ from drivers.contract import (
 from drivers.opcua.bounded import bounded_client
 from drivers.opcua.certificates import OpcUaCredentials, chain_thumbprint, load_credentials, thumbprint
 from drivers.opcua.log import limit_library_log
-from drivers.opcua.services import UNREADABLE, Services
-from drivers.opcua.variables import FANUC_NODES, NodeMap, Variables
+from drivers.opcua.services import UNREADABLE, Services, encode_read
+from drivers.opcua.variables import FANUC_NODES, LIMITS, NodeMap, Variables, at_once
 from models.records import CncSample
 
 T = TypeVar("T")
@@ -110,12 +110,12 @@ class OpcUaCnc:
             raise
 
     async def read(self, macros: Sequence[int]) -> CncSample:
-        """Read the machine's state and the given macro variables in one request."""
+        """Read the machine's state and the given macro variables, in one request if the server takes it."""
         services, variables = self._connected()
         if self._clock.now().real_s >= self._renew_at_s and self._client is not None:
             await self._call(RENEWING, self._renew(self._client))
-        request = variables.read_request(macros, state=True)
-        answers = await self._call("reading", services.read(request))
+        requests = variables.read_requests(macros, state=True)
+        answers = await self._call("reading", services.read(requests))
         sample = variables.sample(self._clock.now(), macros, answers)
         if stands := self._watch.stands_still(sample):
             self._lose(stands)
@@ -124,19 +124,19 @@ class OpcUaCnc:
     async def read_macros(self, macros: Sequence[int]) -> dict[int, float | None]:
         """Read macro variables; None where a variable is vacant."""
         services, variables = self._connected()
-        request = variables.read_request(macros, state=False)
-        answers = await self._call("reading macro variables", services.read(request))
+        requests = variables.read_requests(macros, state=False)
+        answers = await self._call("reading macro variables", services.read(requests))
         return variables.macro_values(macros, answers)
 
     async def write_macros(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
-        """Write groups of (macro, value), each as one request and only after the previous one was accepted.
+        """Write groups of (macro, value), each only after the previous one was accepted.
 
         Raises FatalDriverError before anything is sent when the connection, a macro or a value must
         not be written; LinkError on a lost link or when the server refuses a value.
         """
         refuse_forbidden(groups, self._config, self.security)
         services, variables = self._connected()
-        requests = [(group, variables.write_request(group)) for group in groups if group]
+        requests = [request for group in groups for request in variables.write_requests(group)]
         await self._call("writing macro variables", self._write(services, requests))
 
     async def close(self) -> None:
@@ -219,9 +219,10 @@ class OpcUaCnc:
             raise FatalDriverError(
                 f"{self._endpoint} has no namespace {uri!r} (cnc.opcua.namespace_uri); it has {', '.join(namespaces)}"
             )
-        variables = Variables(node_map(self._config), namespaces.index(uri), self._config.axis_positions)
+        most = at_once(await services.read([encode_read([node]) for node in LIMITS]))
+        variables = Variables(node_map(self._config), namespaces.index(uri), self._config.axis_positions, most)
         block = self._config.macros.block
-        answers = await services.read(variables.read_request(block, state=True))
+        answers = await services.read(variables.read_requests(block, state=True))
         sample = variables.sample(self._clock.now(), block, answers)
         self._watch.stands_still(sample)
         measured = {"spindle_speed": sample.spindle_speed_rpm, "motor_temperature": sample.motor_temperature_degc}

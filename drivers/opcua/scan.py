@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from asyncua import ua
-from asyncua.ua.attribute_ids import AttributeIds
 from asyncua.ua.object_ids import ObjectIds
 from asyncua.ua.uaerrors import UaStatusCodeError
 
 from drivers.json_fields import number_of
+from drivers.opcua.browsing import VARIABLE, children
 from drivers.opcua.tags import TagSession
 
 MOST_NODES = 20_000
@@ -19,8 +19,6 @@ MOST_NODES = 20_000
 MOST_TAGS = 500
 PROPERTY = ua.NodeId(ua.Int32(ObjectIds.HasProperty))
 """How a variable refers to what describes it, which is nothing measured."""
-KINDS: Any = ua.NodeClass.Object | ua.NodeClass.Variable
-"""A mask, which the library declares as one kind."""
 UNITS = {"°c": "degC", "degc": "degC", "c": "degC", "°f": "degF", "degf": "degF", "k": "K"}
 LENGTHS = {"mm": "mm", "µm": "um", "μm": "um", "um": "um", "micron": "um"}
 """How engineering units are written -> how the configuration writes them."""
@@ -46,39 +44,32 @@ async def analog_variables(session: TagSession) -> tuple[list[FoundTag], bool]:
 
     Raises LinkError or FatalDriverError.
     """
-    client, namespaces = await session.connect()
+    await session.connect()
+    client = session.client
     waiting, seen, found = deque([client.nodes.objects]), {client.nodes.objects.nodeid}, list[FoundTag]()
     while waiting and len(seen) < MOST_NODES and len(found) < MOST_TAGS:
         node = waiting.popleft()
-        browsing = node.get_references(ObjectIds.HierarchicalReferences, nodeclassmask=KINDS)
-        try:
-            children = await session.call("browsing", browsing, keeps=(UaStatusCodeError,))
-        except UaStatusCodeError:
-            continue  # a folder that is not for everybody
         variables = []
-        for child in children:
+        for child in await children(session, node) or ():
             node_id = child.NodeId
             is_property = child.ReferenceTypeId == PROPERTY
-            if not child.IsForward or is_property or node_id in seen or node_id.NamespaceIndex == 0:
+            if is_property or node_id in seen or node_id.NamespaceIndex == 0:
                 continue
             seen.add(node_id)
             waiting.append(client.get_node(node_id))
-            if child.NodeClass == ua.NodeClass.Variable:
+            if child.NodeClass == VARIABLE:
                 variables.append((client.get_node(node_id), child.BrowseName.Name or ""))
-        found += await _numbers(session, variables, namespaces)
+        found += await _numbers(session, variables, MOST_TAGS + 1 - len(found))
     return found[:MOST_TAGS], bool(waiting) or len(found) > MOST_TAGS
 
 
-async def _numbers(
-    session: TagSession, variables: Sequence[tuple[Any, str]], namespaces: Sequence[str]
-) -> list[FoundTag]:
-    """Return those of the variables that hold a number now."""
-    if not variables:
-        return []
-    nodes = [node for node, _ in variables]
-    answers = await session.call("reading", session.client.read_attributes(nodes, AttributeIds.Value))
-    found = []
+async def _numbers(session: TagSession, variables: Sequence[tuple[Any, str]], most: int) -> list[FoundTag]:
+    """Return those of the variables that hold a number now, at most so many."""
+    answers = await session.values([node for node, _ in variables])
+    found: list[FoundTag] = []
     for (node, name), answer in zip(variables, answers, strict=True):
+        if len(found) == most:
+            break
         if answer.StatusCode is not None and not answer.StatusCode.is_good():
             continue
         number = number_of(None if answer.Value is None else answer.Value.Value)
@@ -87,7 +78,7 @@ async def _numbers(
         given = await _unit(session, node)
         found.append(
             FoundTag(
-                namespace_uri=namespaces[node.nodeid.NamespaceIndex],
+                namespace_uri=session.namespaces[node.nodeid.NamespaceIndex],
                 node=node.nodeid.to_string().partition(";")[2] or node.nodeid.to_string(),
                 name=name,
                 number=number,

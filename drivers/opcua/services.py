@@ -98,7 +98,7 @@ def decode_read(body: bytes) -> list[Answer]:
     except (struct.error, IndexError):  # it breaks off
         answers = None
     if answers is None:
-        answers = [_answer(each) for each in _decoded(ua.ReadResponse, body, READ_RESPONSE).Results]
+        answers = [_answer(each) for each in _decoded(ua.ReadResponse, body, READ_RESPONSE).Results or ()]
     return answers
 
 
@@ -106,7 +106,7 @@ def decode_write(body: bytes) -> list[int]:
     """Return the status of each written value; raises UaStatusCodeError when the server refuses the whole request."""
     plain = _plain(body, WRITE_RESPONSE)
     if plain is None or len(body) < plain[1] + 4 * plain[0]:
-        return [status.value for status in _decoded(ua.WriteResponse, body, WRITE_RESPONSE).Results]
+        return [status.value for status in _decoded(ua.WriteResponse, body, WRITE_RESPONSE).Results or ()]
     count, at = plain
     return list(struct.unpack_from(f"<{count}I", body, at))
 
@@ -185,9 +185,9 @@ class Services:
         self._token = nodeid_to_binary(protocol.authentication_token)
         self._timeout_ms = int(timeout_s * 1000)
 
-    async def read(self, parameters: bytes) -> list[Answer]:
-        """Read what `encode_read` has put together."""
-        return decode_read(await self._sent(READ_REQUEST, parameters))
+    async def read(self, requests: Sequence[bytes]) -> list[Answer]:
+        """Read what `encode_read` has put together, one request after the other."""
+        return [answer for each in requests for answer in decode_read(await self._sent(READ_REQUEST, each))]
 
     async def write(self, parameters: bytes) -> list[int]:
         """Write what `encode_write` has put together."""

@@ -2,13 +2,22 @@
 
 import asyncio
 import contextlib
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 from asyncua import ua
 from asyncua.client.client import Client
+from asyncua.common.node import Node
 from asyncua.ua.attribute_ids import AttributeIds
-from asyncua.ua.uaerrors import UaError
+from asyncua.ua.uaerrors import (
+    BadEncodingLimitsExceeded,
+    BadRequestTooLarge,
+    BadResponseTooLarge,
+    BadTooManyOperations,
+    UaError,
+)
 
+from config.schema.cnc_drivers import OpcUaSecurityConfig
 from config.schema.source_drivers import SourceEntry
 from config.schema.source_sections import OpcUaServer
 from drivers.clock import Clock
@@ -23,19 +32,38 @@ from drivers.polling import PolledSource
 from drivers.readings import NoReading, Readings
 from models.quality import Reason
 
+AT_ONCE = 1000
+TOO_MUCH = (BadTooManyOperations, BadRequestTooLarge, BadResponseTooLarge, BadEncodingLimitsExceeded)
+"""What a server says that answers fewer values in one request."""
 NOT_MEASURED = 0xFFFF_0300
 """Bits of a status that say more than good: severity and subcode, as of a value that a person has put in place of the
 sensor's (GoodLocalOverride), and that the value stands at a limit (OPC 10000-4, 7.39)."""
 
 
-class TagSession:
-    """One session with a server whose tags are read, to be used once."""
+class Place(Protocol):
+    """Where a server is, and as whom it is asked."""
 
-    def __init__(self, config: OpcUaServer, where: str) -> None:
+    @property
+    def endpoint(self) -> str: ...
+
+    @property
+    def security(self) -> OpcUaSecurityConfig | None: ...
+
+    @property
+    def timeout_s(self) -> float: ...
+
+
+class TagSession:
+    """One session with a server whose variables are read, to be used once."""
+
+    def __init__(self, place: Place, where: str, at_once: int = AT_ONCE) -> None:
+        """`at_once`: so many values are asked for in one request, fewer once the server has refused so many."""
         limit_library_log()
-        self._config = config
+        self._place = place
         self._where = where
+        self._at_once = at_once
         self._client: Client | None = None
+        self.namespaces: list[str] = []
 
     @property
     def client(self) -> Client:
@@ -43,28 +71,44 @@ class TagSession:
         assert self._client is not None
         return self._client
 
-    async def connect(self) -> tuple[Client, list[str]]:
-        """Connect; return the library's client and the namespaces. Raises LinkError or FatalDriverError."""
-        security = self._config.security
+    async def connect(self) -> None:
+        """Connect, and read the server's namespaces. Raises LinkError or FatalDriverError."""
+        security = self._place.security
         credentials = load_credentials(security) if security else None
-        client = self._client = bounded_client(self._config.endpoint, self._config.timeout_s)
+        client = self._client = bounded_client(self._place.endpoint, self._place.timeout_s)
         client.name, client.product_uri = "Toolpoint", "urn:toolpoint"
         if credentials:
             secure(client, credentials)
             client.set_user(credentials.user_name)
             client.set_password(credentials.password)
         await self.call("connecting", client.connect())
-        return client, await self.call("reading its namespaces", client.get_namespace_array())
+        self.namespaces = await self.call("reading its namespaces", _namespaces(client))
+
+    async def values(self, nodes: Sequence[Node]) -> list[ua.DataValue]:
+        """Return what nodes hold, in as many requests as the server needs; raises LinkError."""
+        found: list[ua.DataValue] = []
+        while len(found) < len(nodes):
+            asked = list(nodes[len(found) : len(found) + self._at_once])
+            reading = self.client.read_attributes(asked, AttributeIds.Value)
+            try:
+                answers = await self.call("reading", reading, keeps=TOO_MUCH if len(asked) > 1 else ())
+            except TOO_MUCH:
+                self._at_once = (len(asked) + 1) // 2
+                continue
+            if len(answers or ()) != len(asked):
+                raise LinkError(f"{self._where} answered {len(answers or ())} values to a request for {len(asked)}")
+            found += answers
+        return found
 
     async def call(self, what: str, call: Any, keeps: tuple[type[UaError], ...] = ()) -> Any:
         """Return what a call brings within the time-out; raises LinkError, and those errors that `keeps` names."""
         try:
-            async with asyncio.timeout(self._config.timeout_s):
+            async with asyncio.timeout(self._place.timeout_s):
                 return await cancelled_plainly(call)
         except keeps:
             raise
         except TimeoutError as error:
-            words = f"{self._where} did not answer within {self._config.timeout_s:g} s while {what}"
+            words = f"{self._where} did not answer within {self._place.timeout_s:g} s while {what}"
             raise LinkError(f"{words}: check address, network, and that the server runs") from error
         except (OSError, UaError, UnicodeError) as error:  # the last of a host's name that is none
             raise LinkError(f"{self._where} was lost while {what}: {error or type(error).__name__}") from error
@@ -78,14 +122,22 @@ class TagSession:
         if client is None:
             return
         with contextlib.suppress(Exception):
-            async with asyncio.timeout(self._config.timeout_s):
+            async with asyncio.timeout(self._place.timeout_s):
                 await cancelled_plainly(client.disconnect())
         with contextlib.suppress(Exception):
             abort(client)
 
 
+async def _namespaces(client: Client) -> list[str]:
+    """Return the server's namespaces; raises TypeError where it tells something else."""
+    told = await client.get_namespace_array()
+    if not isinstance(told, list):
+        raise TypeError(f"{told!r} is no list")
+    return [uri if isinstance(uri, str) else "" for uri in told]
+
+
 class OpcUaTagSource(PolledSource):
-    """Reads all tags in one request; a tag whose status is not good has no value."""
+    """Reads all tags at once; a tag whose status is not good has no value."""
 
     def __init__(self, source: SourceEntry, clock: Clock) -> None:
         super().__init__(source, clock)
@@ -97,14 +149,16 @@ class OpcUaTagSource(PolledSource):
 
     async def open(self) -> None:
         """Connect and find the namespace; raises LinkError or FatalDriverError."""
-        client, namespaces = await self._session.connect()
-        uri = self._config.namespace_uri
+        await self._session.connect()
+        uri, namespaces = self._config.namespace_uri, self._session.namespaces
         if uri not in namespaces:
             raise FatalDriverError(
                 f"{self._where} has no namespace {uri!r} (`namespace_uri`); it has {', '.join(namespaces)}"
             )
         index = namespaces.index(uri)
-        self._nodes = [client.get_node(self._node_id(each.node, index)) for each in self._config.every_input]
+        self._nodes = [
+            self._session.client.get_node(self._node_id(each.node, index)) for each in self._config.every_input
+        ]
 
     def _node_id(self, text: str, namespace_index: int) -> ua.NodeId:
         try:
@@ -118,10 +172,7 @@ class OpcUaTagSource(PolledSource):
 
     async def read(self) -> Readings:
         """Return the number of each tag; raises LinkError when the server is lost."""
-        reading = self._session.client.read_attributes(self._nodes, AttributeIds.Value)
-        answers = await self._session.call("reading", reading)
-        if len(answers) != len(self._nodes):
-            raise LinkError(f"{self._where} answered {len(answers)} values to a request for {len(self._nodes)}")
+        answers = await self._session.values(self._nodes)
         return {
             each.key: reading_of(answer, each.node)
             for each, answer in zip(self._config.every_input, answers, strict=True)

@@ -31,6 +31,9 @@ STATE_NODES = (
 MEASURED = frozenset({"spindle_speed", "motor_temperature"})
 """Measurements: without a value they are NaN, while the others are needed to know what the machine does."""
 
+AT_ONCE = 1000
+LIMITS = (ua.NodeId(ua.Int32(11705)), ua.NodeId(ua.Int32(11707)))
+"""Nodes of every server that say how many nodes it reads and writes in one request."""
 VACANT = frozenset(
     {
         StatusCodes.BadNoData,
@@ -75,21 +78,27 @@ class NodeMap:
     """Number of a variable that is a text; raises ValueError for a text that means nothing."""
 
 
+def at_once(answers: Sequence[Answer]) -> int:
+    """Return how many nodes go into one request by what a server answers to a read of `LIMITS`; 0 is no limit."""
+    return min([AT_ONCE, *(each.value for each in answers if type(each.value) is int and each.value > 0)])
+
+
 class Variables:
     """Node ids of one CNC, built once per connection, and requests prepared from them."""
 
     def __init__(
-        self, found: NodeMap, namespace_index: int, axes: Mapping[str, AxisPositionConfig] | None = None
+        self, found: NodeMap, namespace: int, axes: Mapping[str, AxisPositionConfig] | None = None, most: int = AT_ONCE
     ) -> None:
         self._map = found
-        self._namespace_index = namespace_index
+        self._namespace_index = namespace
         self._macro_pattern = found.nodes["macro"]
         self._macros: dict[int, ua.NodeId] = {}
         self._targets: dict[int, bytes] = {}
         self._keys = tuple(key for key in STATE_NODES if key in found.nodes)
         self._texts = [found.nodes[key] for key in self._keys]
         self._state = [self._node_id(key, text) for key, text in zip(self._keys, self._texts, strict=True)]
-        self._reads: dict[tuple[int, ...], bytes] = {}
+        self._reads: dict[tuple[int, ...], tuple[bytes, ...]] = {}
+        self._most = most
         self.cannot = {
             key: f"cnc.opcua.nodes.{key} names no variable of the server"
             for key in STATE_NODES
@@ -110,17 +119,20 @@ class Variables:
             for each in self._axes.values()
         ]
 
-    def read_request(self, macros: Sequence[int], *, state: bool) -> bytes:
-        """Return the parameters that read the state (or not) and the given macro variables."""
+    def read_requests(self, macros: Sequence[int], *, state: bool) -> tuple[bytes, ...]:
+        """Return the parameters that read the state (or not) and the given macro variables, by request."""
         key = (int(state), *macros)
         if key not in self._reads:
-            wanted = [self._macro_node_id(number) for number in macros]
-            self._reads[key] = encode_read([*self._state, *self._positions, *wanted] if state else wanted)
+            nodes = [*self._state, *self._positions] if state else []
+            nodes += [self._macro_node_id(number) for number in macros]
+            parts = range(0, len(nodes), self._most)
+            self._reads[key] = tuple(encode_read(nodes[first : first + self._most]) for first in parts)
         return self._reads[key]
 
-    def write_request(self, group: Sequence[tuple[int, float]]) -> bytes:
-        """Return the parameters that write one group."""
-        return encode_write([(self._target(number), float(value)) for number, value in group])
+    def write_requests(self, group: Sequence[tuple[int, float]]) -> list[tuple[Sequence[tuple[int, float]], bytes]]:
+        """Return the parameters that write one group, by request, each with what it writes."""
+        parts = [group[first : first + self._most] for first in range(0, len(group), self._most)]
+        return [(part, encode_write([(self._target(each), float(value)) for each, value in part])) for part in parts]
 
     def _target(self, number: int) -> bytes:
         if number not in self._targets:

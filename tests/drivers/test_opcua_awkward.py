@@ -1,0 +1,216 @@
+"""OPC UA servers that are right and unlike others: small limits, slow answers, folders that are not for everybody."""
+
+import asyncio
+import struct
+from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+import pytest_asyncio
+from asyncua import ua
+from asyncua.common.utils import ServiceError
+from asyncua.server.internal_session import InternalSession
+from scripted_machine import NAMESPACE, ScriptedNc, cnc_config
+
+from config.schema.source_sections import OpcUaServer
+from daemon.checkup.node_map import look
+from drivers.clock import SystemClock
+from drivers.contract import LinkError
+from drivers.opcua import browsing
+from drivers.opcua.browsing import browse
+from drivers.opcua.cnc import OpcUaCnc
+from drivers.opcua.scan import analog_variables
+from drivers.opcua.services import READ_RESPONSE, RESPONSE_HEADER, WRITE_RESPONSE, decode_read, decode_write
+from drivers.opcua.tags import TagSession
+from drivers.opcua.variables import LIMITS
+from drivers.sim.wires.opcua_server import SimulatedCncServer
+
+Answered = Callable[[Any, Any], Any]
+NAMESPACES = ua.NodeId(ua.Int32(ua.ObjectIds.Server_NamespaceArray))
+
+
+def on_wires(test: Any) -> Any:
+    return pytest.mark.wires(pytest.mark.asyncio(loop_scope="module")(test))
+
+
+@dataclass
+class Habits:
+    """What this server does otherwise than the library's."""
+
+    takes: int = 10_000
+    """Nodes in one read or write."""
+    tells: bool = False
+    """It says so in its variables."""
+    changed: Answered | None = None
+    """Results of a read -> what it answers instead."""
+    delay_s: float = 0.0
+    refuses: str = ""
+    """Children of a node of this identifier are not shown."""
+    browsed: int = 0
+
+
+HABITS = Habits()
+HELD: dict[str, Any] = {name: getattr(InternalSession, name) for name in ("read", "write", "browse")}
+
+
+async def read(session: Any, wanted: Any) -> Any:
+    if not session.external:
+        return await HELD["read"](session, wanted)
+    await asyncio.sleep(HABITS.delay_s)
+    too_many(wanted.NodesToRead)
+    found = await HELD["read"](session, wanted)
+    for place, each in enumerate(wanted.NodesToRead):
+        if HABITS.tells and each.NodeId in LIMITS:
+            found[place] = ua.DataValue(ua.Variant(HABITS.takes, ua.VariantType.UInt32))
+    return found if HABITS.changed is None else HABITS.changed(wanted, found)
+
+
+async def write(session: Any, wanted: Any) -> Any:
+    if session.external:
+        too_many(wanted.NodesToWrite)
+    return await HELD["write"](session, wanted)
+
+
+async def browse_(session: Any, wanted: Any) -> Any:
+    HABITS.browsed += session.external
+    if session.external and HABITS.refuses in [str(each.NodeId.Identifier) for each in wanted.NodesToBrowse]:
+        raise ServiceError(ua.StatusCodes.BadUserAccessDenied)
+    return await HELD["browse"](session, wanted)
+
+
+def too_many(nodes: list[Any]) -> None:
+    if len(nodes) > HABITS.takes:
+        raise ServiceError(ua.StatusCodes.BadTooManyOperations)
+
+
+@pytest.fixture(autouse=True)
+def habits(monkeypatch: pytest.MonkeyPatch) -> Iterator[Habits]:
+    HABITS.__init__()  # type: ignore[misc]
+    for name, function in (("read", read), ("write", write), ("browse", browse_)):
+        monkeypatch.setattr(InternalSession, name, function)
+    yield HABITS
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def server() -> AsyncIterator[SimulatedCncServer]:
+    server = SimulatedCncServer(ScriptedNc(), cnc_config(), port=0)
+    await server.start()
+    yield server
+    await server.stop()
+
+
+def session_at(server: SimulatedCncServer, timeout_s: float = 10.0) -> TagSession:
+    place = OpcUaServer(endpoint=server.endpoint, namespace_uri="-", security=None, timeout_s=timeout_s)
+    return TagSession(place, "source Gateway: server x")
+
+
+@on_wires
+@pytest.mark.parametrize("takes", [1, 4])
+async def test_a_control_that_takes_few_nodes_at_once_is_read_and_written_in_parts(
+    server: SimulatedCncServer, habits: Habits, takes: int
+) -> None:
+    cnc = OpcUaCnc(cnc_config(server.endpoint), SystemClock())
+    habits.takes, habits.tells = takes, True
+    await cnc.connect()
+    values = {number: number / 1000.0 for number in range(501, 506)}
+    await cnc.write_macros([[(500, 1.0)], list(values.items())])
+    sample = await cnc.read([500, *values])
+    assert sample.macros == {500: 1.0} | values
+    assert (sample.program, sample.tool_number, await cnc.read_macros(list(values))) == (1000, 3, values)
+    await cnc.close()
+
+
+@on_wires
+@pytest.mark.parametrize("takes", [1, 4, 30])
+async def test_a_server_that_takes_few_nodes_at_once_is_looked_through_all_the_same(
+    server: SimulatedCncServer, habits: Habits, takes: int
+) -> None:
+    whole, _ = await look(server.endpoint, None, 10.0)
+    habits.takes = takes
+    browsed, proposal = await look(server.endpoint, None, 10.0)
+    assert {each.node for each in browsed.variables} == {each.node for each in whole.variables}
+    assert proposal is not None and proposal.missing == () and proposal.values["tool_number"] == 3
+    session = session_at(server)
+    tags, more = await analog_variables(session)
+    await session.close()
+    assert {"tool_number", "program", "clock"} <= {tag.name for tag in tags} and not more
+
+
+@on_wires
+@pytest.mark.parametrize("told", [None, "text", 7])
+async def test_a_server_without_a_list_of_namespaces_is_named(
+    server: SimulatedCncServer, habits: Habits, told: Any
+) -> None:
+    habits.changed = lambda wanted, found: (
+        [ua.DataValue(ua.Variant(told))] if wanted.NodesToRead[0].NodeId == NAMESPACES else found
+    )
+    session = session_at(server)
+    with pytest.raises(LinkError, match="source Gateway: server x answers what cannot be read while reading"):
+        await session.connect()
+    await session.close()
+    with pytest.raises(LinkError, match="answers what cannot be read while reading its namespaces"):
+        await look(server.endpoint, None, 10.0)
+
+
+@on_wires
+async def test_an_answer_without_results_is_a_lost_link(server: SimulatedCncServer, habits: Habits) -> None:
+    cnc, session = OpcUaCnc(cnc_config(server.endpoint), SystemClock()), session_at(server)
+    await cnc.connect()
+    await session.connect()
+    habits.changed = lambda wanted, found: None
+    with pytest.raises(LinkError, match="answered 0 values to a request for 1 macro"):
+        await cnc.read_macros([500])
+    with pytest.raises(LinkError, match="server x answered 0 values to a request for 1"):
+        await session.values([session.client.nodes.server_state])
+    habits.changed = None
+    await cnc.close()
+    await session.close()
+
+
+def test_a_list_that_is_null_holds_nothing() -> None:
+    bodies = [RESPONSE_HEADER.pack(kind, 0, 1, 0, 0, 0, bytes(3), -1) for kind in (READ_RESPONSE, WRITE_RESPONSE)]
+    read, written = (body + struct.pack("<i", -1) for body in bodies)
+    assert decode_read(read) == [] and decode_write(written) == []
+
+
+@on_wires
+async def test_a_folder_that_is_not_for_everybody_is_left_out_and_told(
+    server: SimulatedCncServer, habits: Habits
+) -> None:
+    habits.refuses = "Mode"
+    session = session_at(server)
+    await session.connect()
+    browsed = await browse(session)
+    await session.close()
+    assert {"s=Mode", "s=Program", "s=Macro.500"} <= {each.node for each in browsed.variables}
+    assert not browsed.complete
+
+
+@on_wires
+async def test_no_more_is_asked_than_is_looked_at(
+    server: SimulatedCncServer, habits: Habits, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(browsing, "MOST_NODES", 12)
+    session = session_at(server)
+    await session.connect()
+    browsed = await browse(session)
+    await session.close()
+    assert 5 <= len(browsed.variables) <= 12 and not browsed.complete
+    assert habits.browsed <= 12, "a control may have hundreds of thousands of nodes"
+
+
+@on_wires
+async def test_a_server_that_answers_within_the_time_out_is_not_given_up(
+    server: SimulatedCncServer, habits: Habits
+) -> None:
+    session = session_at(server)
+    await session.connect()
+    habits.delay_s = 2.2
+    index = session.namespaces.index(NAMESPACE)
+    node = session.client.get_node(ua.NodeId("ToolNumber", index))
+    for _ in range(2):
+        (answer,) = await session.values([node])
+        assert answer.Value.Value == 3
+    habits.delay_s = 0.0
+    await session.close()
