@@ -43,13 +43,13 @@ class Query(IntEnum):
 
 LABELS: Mapping[Query, tuple[str, ...]] = {
     Query.SERIAL_NUMBER: ("SERIAL NUMBER",),
-    Query.SOFTWARE: ("SOFTWARE",),
+    Query.SOFTWARE: ("SOFTWARE", "SOFTWARE VERSION"),
     Query.MODEL: ("MODEL",),
     Query.MODE: ("MODE",),
     Query.PROGRAM: ("PROGRAM", "STATUS"),
     Query.MACRO: ("MACRO",),
 }
-"""First field of the answer to each query."""
+"""First field of the answer to each query, as older and as newer controls say it."""
 _QUERY_OF = {label: query for query, labels in LABELS.items() for label in labels}
 
 
@@ -111,7 +111,7 @@ def value_text(value: float) -> str:
 def parse_answer(line: str) -> Answer | Unknown | None:
     """Return what a line answers, None for one that answers no query; raises HaasFormatError for an impossible one."""
     fields = tuple(field.strip() for field in line.split(","))
-    if fields[0] == _UNKNOWN:
+    if fields[0] == _UNKNOWN or line.startswith("?"):  # a newer control says what it does not understand
         return Unknown()
     query = _QUERY_OF.get(fields[0])
     if query is None:

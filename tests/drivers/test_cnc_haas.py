@@ -11,6 +11,7 @@ from scripted_machine import GROUPS, ScriptedNc, cnc_config
 from drivers.clock import SystemClock
 from drivers.contract import SIMULATED_CNC_IDENTITY, FatalDriverError, LinkError, NotSentError
 from drivers.haas.cnc import HaasCnc
+from drivers.haas.codec import encode_fields
 from drivers.sim.wires.haas_server import UNKNOWN, SimulatedHaasServer
 from models.records import CncMode, CncRun
 
@@ -113,13 +114,17 @@ async def test_state_and_macros_of_one_poll_belong_together(control: Control) ->
     await cnc.close()
 
 
-@pytest.mark.parametrize("spaced", [True, False])
-async def test_both_forms_of_writing_are_tried_and_the_right_one_kept(control: Control, spaced: bool) -> None:
+@pytest.mark.parametrize(("spaced", "newer"), [(True, False), (True, True), (False, False), (False, True)])
+async def test_both_forms_of_writing_are_tried_and_the_right_one_kept(
+    control: Control, spaced: bool, newer: bool
+) -> None:
     answer, asked = control.responder.answer, list[str]()
+    control.responder.numbered = not newer
 
     def strict(line: str) -> bytes:
         asked.append(line)
-        return UNKNOWN if line.startswith("?E") and line.startswith("?E ") != spaced else answer(line)
+        unknown = encode_fields(f"?, {line}") if newer else UNKNOWN
+        return unknown if line.startswith("?E") and line.startswith("?E ") != spaced else answer(line)
 
     control.responder.answer = strict  # type: ignore[method-assign]
     cnc = await control.connected()

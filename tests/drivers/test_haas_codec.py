@@ -8,6 +8,7 @@ from drivers.haas.codec import (
     Answer,
     HaasFormatError,
     LineBuffer,
+    Query,
     Unknown,
     Write,
     encode_write,
@@ -40,7 +41,9 @@ def test_answers_name_their_variable_or_none_and_an_empty_value_is_vacant() -> N
     assert (read("MACRO, 801, 333.339996").number, read("MACRO, 801, 333.339996").value) == (801, 333.339996)
     assert (read("MACRO, 12.5").number, read("MACRO, 12.5").value) == (None, 12.5)
     assert read("MACRO, 502, ").value is None and read("MACRO, ").value is None
-    assert parse_answer("UNKNOWN") == Unknown() and parse_answer("!") is None and parse_answer("PART 7 DONE") is None
+    assert parse_answer("UNKNOWN") == parse_answer("?, ?E 500 1.0") == Unknown()
+    assert read("SOFTWARE, VER M18.26A").query is read("SOFTWARE VERSION, 100.17.000.2037").query is Query.SOFTWARE
+    assert parse_answer("!") is None and parse_answer("PART 7 DONE") is None
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,7 @@ class HaasResponder:
             self._state[MACHINE_POSITION + place] = self._position(place)
         self._words: Mapping[int, Callable[[], tuple[str, ...]]] = {
             Query.SERIAL_NUMBER: lambda: ("SERIAL NUMBER", SIMULATED_SERIAL_NUMBER),
-            Query.SOFTWARE: lambda: ("SOFTWARE", "VER 100.00"),
+            Query.SOFTWARE: lambda: ("SOFTWARE" if self.numbered else "SOFTWARE VERSION", "100.17.000.2037"),
             Query.MODEL: lambda: ("MODEL", "SIMULATED"),
             Query.MODE: lambda: ("MODE", MODE_WORDS.get(nc.mode, "REMOTE")),
             Query.PROGRAM: self._program,
