@@ -162,11 +162,17 @@ class MtconnectCnc(LinkedCnc):
             self._lose(f"{self._name} {sentence}", error)
         root = await parsed(content)
         if root.name == "MTConnectError":
-            error_ = root.first("Error")
-            code = "" if error_ is None else error_.attributes.get("errorCode", "")
-            words = "" if error_ is None else error_.text.strip()[:200]
+            code, words = _told(root)
             raise AgentError(f"the agent says {code or 'an error'}: {words}", code)
         return root
+
+
+def _told(error: Element) -> tuple[str, str]:
+    """Return code and words of a document that tells an error; since 2.6 each kind has an element of its own name."""
+    errors = error.first("Errors") or error
+    found = next((each for each in errors.children if "errorCode" in each.attributes), errors)
+    message = found.first("ErrorMessage") or found
+    return found.attributes.get("errorCode", ""), message.text.strip()[:200]
 
 
 def _header(root: Element) -> dict[str, str]:

@@ -170,14 +170,14 @@ class Device:
                     self._condition(item, observation)
 
     def _condition(self, item: str, observation: Element) -> None:
-        """Take a state of a condition: a normal one without a code ends all its faults."""
+        """Take a state of a condition: without a code, one that is normal or not known ends all its faults."""
         code = observation.attributes.get("nativeCode", "")
         active = self.faults.setdefault(item, set())
         if observation.name == "Fault":
             active.add(code)
             if len(active) > MOST_FAULTS:
                 raise XmlError(f"its condition {item} has more than {MOST_FAULTS} faults at a time")
-        elif observation.name == "Normal" and not code:
+        elif observation.name in ("Normal", "Unavailable") and not code:
             active.clear()
         else:
             active.discard(code)

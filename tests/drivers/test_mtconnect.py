@@ -70,8 +70,21 @@ async def test_state_program_and_speed_are_read_and_writing_is_refused_with_a_se
     await cnc.close()
 
 
+ERRORS = {
+    "1.0": '<m:Error errorCode="{}">{}</m:Error>',
+    "1.8": '<m:Errors><m:Error errorCode="{}">{}</m:Error></m:Errors>',
+    "2.6": '<m:Errors><m:OutOfRange errorCode="{}"><m:ErrorMessage>{}</m:ErrorMessage></m:OutOfRange></m:Errors>',
+}
+"""How agents of different versions tell one error."""
+
+
 @pytest.mark.wires
-async def test_what_the_agent_has_forgotten_is_read_anew_and_another_instance_is_another_link(bench):
+@pytest.mark.parametrize("version", ERRORS)
+async def test_what_the_agent_has_forgotten_is_read_anew_and_another_instance_is_another_link(bench, version):
+    bench.agent._error = lambda code, words: (
+        f'<m:MTConnectError xmlns:m="urn:mtconnect.org:MTConnectError:{version}">'
+        f"<m:Header/>{ERRORS[version].format(code, words)}</m:MTConnectError>"
+    )
     cnc = bench.open()
     await cnc.connect()
     for number in range(BUFFER + 10):
@@ -134,6 +147,9 @@ def test_an_agent_that_invents_items_or_faults_does_not_fill_the_memory():
     assert device.values == {"EXECUTION": "ACTIVE"} and not device.alarm and not device.faults
     tell("", '<Fault dataItemId="SYSTEM" nativeCode="7"/>')
     assert device.alarm
+    tell("", '<Unavailable dataItemId="SYSTEM"/>')
+    assert not device.alarm, "the adapter is away, and tells the faults that are left when it is back"
+    tell("", '<Fault dataItemId="SYSTEM" nativeCode="7"/>')
     with pytest.raises(XmlError, match="SYSTEM has more than 1000 faults"):
         tell("", "".join(f'<Fault dataItemId="SYSTEM" nativeCode="c{number}"/>' for number in range(MOST_FAULTS)))
 
