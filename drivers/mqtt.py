@@ -58,6 +58,8 @@ class MqttSource(PushedSource):
             timeout=config.timeout_s,
             max_queued_incoming_messages=MOST_WAITING * len(config.every_input),
         )
+        ended = connection._disconnected  # when nobody takes its error, asyncio logs a traceback
+        ended.add_done_callback(lambda _: ended.cancelled() or ended.exception())
         try:
             async with connection as client:
                 self._refuse(await client.subscribe([(topic, 0) for topic in self._topics]))
