@@ -157,6 +157,7 @@ class Daemon:
             on_problem=self._on_history_problem,
             sinks=[sink.name for sink in configuration.sinks or () if sink.alarms is None],
         )
+        self._history.hold()
         self._jobs = scheduled_jobs(configuration, config_path, self._report)
         self._loaded = load_model(configuration)
         model, inhibit = self._loaded.model, self._loaded.inhibit

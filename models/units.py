@@ -34,15 +34,6 @@ def degc_from_kelvin(kelvin: float) -> float:
     return kelvin - ZERO_CELSIUS_K
 
 
-def degc_of_recording(values: npt.NDArray[np.float64], unit: str, *, rises: bool) -> npt.NDArray[np.float64]:
-    """Return recorded temperatures as degrees Celsius [degC], of the shape of `values`.
-
-    `unit`: `degC`, `degF` or `K`. `rises`: since the start, which have no zero of their own.
-    """
-    per_k, at_0_degc = {"degC": (1.0, 0.0), "degF": (1.8, 32.0), "K": (1.0, ZERO_CELSIUS_K)}[unit]
-    return (values - (0.0 if rises else at_0_degc)) / per_k
-
-
 def int16_from_degc(degc: npt.NDArray[np.float64]) -> npt.NDArray[np.int16]:
     """Return temperatures [degC] as counts of 1/160 degC, NaN as -32768.
 

@@ -127,7 +127,8 @@ def load_commissioning(path: Path, trusted: Path | None = None) -> Commissioning
         raise CommissioningError(f"{path}: this is no record: byte {error.start} is not UTF-8 text") from error
     except ValidationError as error:
         first = error.errors()[0]
-        raise CommissioningError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+        where = "".join(f"{part}: " for part in (".".join(map(str, first["loc"])),) if part)
+        raise CommissioningError(f"{path}: {where}{first['msg']}") from error
 
 
 ADVICE = "run `toolpoint commission`"

@@ -20,6 +20,7 @@ DEFAULT_CONFIGURATION = Path("/etc/toolpoint/toolpoint.yaml")
 """Where an installed daemon keeps its configuration."""
 CONFIGURATION_VARIABLE = "TOOLPOINT_CONFIG"
 """Environment variable that names another."""
+FAILED = 1
 BAD_USAGE = 2
 """Exit status for bad usage or configuration."""
 Command = TypeVar("Command", bound=Callable[..., Any])

@@ -147,7 +147,8 @@ class WriteAheadRecord:
 
     def _content(self) -> bytes:
         try:
-            return self._path.read_bytes()[:LONGEST_LINE]
+            with self._path.open("rb") as file:
+                return file.read(LONGEST_LINE)
         except OSError:
             return b""
 

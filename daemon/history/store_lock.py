@@ -37,7 +37,9 @@ class WriterLock:
         self._store: int | None = None
 
     def acquire(self) -> None:
-        """Take both locks, or raise HistoryError naming who holds them."""
+        """Take both locks where they are not held yet, or raise HistoryError naming who holds them."""
+        if self._descriptor is not None:
+            return
         lock_path = Path(f"{self._path}.lock")
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)

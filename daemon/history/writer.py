@@ -106,6 +106,10 @@ class HistoryWriter:
 
     # --- life ----------------------------------------------------------------------------
 
+    def hold(self) -> None:
+        """Keep other writers away from now on, so that what is read here is what `start` goes on from."""
+        self._lock.acquire()
+
     def start(self) -> None:
         """Open the store and start the thread.
 
@@ -283,8 +287,8 @@ class HistoryWriter:
         try:
             reader = HistoryReader(self.path, also_on_full_disk=True)
         except OlderStoreError:
-            with self._lock:
-                connect_writer(self.path).close()
+            self._lock.acquire()
+            connect_writer(self.path).close()
             reader = HistoryReader(self.path, also_on_full_disk=True)
         with reader:
             return question(reader)

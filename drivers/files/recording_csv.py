@@ -15,6 +15,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from config.files import write_whole
 from config.recordings.column_units import RPM_PER_UNIT
@@ -35,7 +36,7 @@ from models.recordings.dataset import DatasetError, Recording
 from models.recordings.plausibility import are_rises
 from models.recordings.slopes import SLOPE_SUFFIX, offset_and_slope
 from models.records import FloatArray
-from models.units import degc_of_recording
+from models.units import ZERO_CELSIUS_K
 
 __all__ = [
     "SECONDS",
@@ -161,7 +162,7 @@ def _in_degc(values: FloatArray, columns: Columns) -> FloatArray:
     found = values.copy()
     rises = are_rises(values[:, : len(columns.temperature_units)])
     for place, unit in enumerate(columns.temperature_units):
-        found[:, place] = degc_of_recording(values[:, place], unit, rises=rises)
+        found[:, place] = _degc(values[:, place], unit, rises=rises)
     return found
 
 
@@ -473,3 +474,12 @@ def _advice(text: str, decimal: str | None) -> str:
             "points, where it is the decimal mark, say decimal: '.' in the map"
         )
     return f"where it stands for a missing value, say missing: [{text[:40]!r}] in the map, or leave the field empty"
+
+
+def _degc(values: npt.NDArray[np.float64], unit: str, *, rises: bool) -> npt.NDArray[np.float64]:
+    """Return recorded temperatures as degrees Celsius [degC], of the shape of `values`.
+
+    `unit`: `degC`, `degF` or `K`. `rises`: since the start, which have no zero of their own.
+    """
+    per_k, at_0_degc = {"degC": (1.0, 0.0), "degF": (1.8, 32.0), "K": (1.0, ZERO_CELSIUS_K)}[unit]
+    return (values - (0.0 if rises else at_0_degc)) / per_k

@@ -155,3 +155,11 @@ def test_the_shipped_record_is_that_of_the_simulated_machine():
         guard_version=float(GUARD_VERSION),
     )
     assert said == ""
+
+
+@pytest.mark.parametrize("content", [b"", b'{"axes": '])
+def test_a_record_that_is_not_whole_is_refused_in_one_clause(tmp_path, content):
+    path = tmp_path / "commissioning.json"
+    path.write_bytes(content)
+    with pytest.raises(CommissioningError, match=rf"^{path}: Invalid JSON"):
+        load_commissioning(path)

@@ -10,9 +10,11 @@ from pathlib import Path
 
 import history_records as make
 import pytest
+from control_rig import HandClock, machine
 from history_records import EPOCH_S, SMALL, StillClock
 from other_user import OTHER, as_root, as_user, in_child
 
+from daemon.app import Daemon
 from daemon.history import HistoryError, HistoryReader, HistoryWriter
 from daemon.history.database import connect_writer
 from daemon.history.store_lock import WriterLock
@@ -247,6 +249,23 @@ def test_without_the_lock_file_a_second_writer_is_refused_all_the_same(watched: 
         Watched(store).writer.start()
     watched.cycles(4, 5)
     assert numbers_in(store) == [1, 2, 3, 4, 5]
+
+
+def test_what_a_daemon_reads_at_its_start_nobody_changes_before_it_writes(tmp_path: Path) -> None:
+    configuration = machine(tmp_path)
+    daemon = Daemon(configuration, HandClock())
+
+    def second() -> str:
+        try:
+            Watched(configuration.history.path).writer.start()
+        except HistoryError as error:
+            return str(error)
+        return "started"
+
+    assert f"process {os.getpid()} writes this store" in in_child(second)
+    daemon._history.start()
+    daemon._history.close()
+    assert in_child(second) == "started"
 
 
 def test_a_store_that_another_writer_has_begun_anew_is_left_to_it(watched: Watched) -> None:

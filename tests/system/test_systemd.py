@@ -115,6 +115,7 @@ def test_unit_is_fed_by_the_watchdog_and_not_restarted_over_a_bad_configuration(
     (watchdog,) = settings("WatchdogSec")
     assert float(watchdog) >= 3 * OutputConfig().tick_s
     assert settings("RestartPreventExitStatus") == [str(BAD_USAGE)]
+    assert settings("StartLimitIntervalSec") == ["0"] and not settings("StartLimitBurst"), "it is tried for ever"
     assert "OPENBLAS_NUM_THREADS=1" in settings("Environment")
 
 

@@ -9,7 +9,9 @@ import click
 import structlog
 
 from daemon.app import Daemon
-from daemon.cli.common import config_option, option, read_with_warnings
+from daemon.cli.common import FAILED, config_option, option, read_with_warnings, refuse
+from daemon.cnc.cnc_lock import CncLockError
+from daemon.history import HistoryError
 from daemon.telemetry.logs import configure_logging
 from drivers.clock import Clock, ScaledClock, SystemClock
 from drivers.registry import import_drivers
@@ -59,4 +61,7 @@ def run(config_path: Path, simulated_clock: str | None) -> None:
     clock: Clock = parse_simulated_clock(simulated_clock) if simulated_clock else SystemClock()
     sys.setswitchinterval(THREAD_TURN_S)
     import_drivers(configuration)
-    asyncio.run(_live(Daemon(configuration, clock, config_path=config_path)))
+    try:
+        asyncio.run(_live(Daemon(configuration, clock, config_path=config_path)))
+    except (HistoryError, CncLockError) as error:  # of the surroundings: another start may help
+        refuse(str(error), FAILED)
