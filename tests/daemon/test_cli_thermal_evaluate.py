@@ -196,7 +196,7 @@ def test_what_would_not_be_had_on_line_and_a_channel_that_is_made_worse_are_said
     assert "record 2 more runs like that test" in said and "channel c1:" not in said
     assert "4 whole runs or cycles can be left out" in said, "a family that was asked for by name is advised too"
     online = found["tests"][0]["online"]
-    assert set(online) == {"rmse_um", "reduction_rmse", "mean_confidence", "following"}
+    assert set(online) - {"imputed_unsure"} == {"rmse_um", "reduction_rmse", "mean_confidence", "following"}
     faster = {"name": "test", "reduction_rmse": 0.9, "excluded": [], "online": online | {"reduction_rmse": 0.5}}
     (sentence,) = on_line_sentences([faster], {"test": ["spindle speed to 7000 1/min (training: 5000)"]})
     assert sentence.startswith("test: 90% of the error could be removed, on line it would be 50%")
@@ -204,6 +204,20 @@ def test_what_would_not_be_had_on_line_and_a_channel_that_is_made_worse_are_said
     assert on_line_sentences([faster | {"online": online | {"reduction_rmse": 0.85}}], {}) == []
     out = on_line_sentences([faster | {"excluded": [{"sensor": "t3"}]}] * 5, {})
     assert "sensors were excluded (t3)" in out[0] and out[-1] == "so it is in 2 more tests"
+
+
+def test_a_sensor_that_nothing_stands_in_for_is_why_less_would_be_had_on_line(tmp_path: Path) -> None:
+    """Its range was left, too, but it does not count any more: recordings that go as far would not help."""
+    columns = table()
+    own_k = 3.0 * np.sin(columns["t"] / 3600.0)
+    columns["t4"] = columns["t4"] + own_k + np.where(columns["t"] > 9.0 * 3600.0, 40.0, 0.0)
+    columns["c1"] = columns["c1"] + 4.0 * own_k
+    found = figures(write(tmp_path / "day.csv", columns), *SPLIT, "--model", "ridge")
+    online = found["tests"][0]["online"]
+    assert online["following"] + online["imputed_unsure"] == pytest.approx(1.0) and online["imputed_unsure"] > 0.5
+    (sentence,) = [one for one in found["advice"] if "on line it would be" in one]
+    assert "what is imputed for excluded sensors (t4) may be off by more than 1 um" in sentence
+    assert "beyond training" not in sentence and "record 2 more runs in which they do the same" in sentence
 
 
 def test_constant_and_lost_sensors_are_left_out_by_name(tmp_path: Path) -> None:

@@ -38,7 +38,14 @@ from models.thermal.training.inputs import (
     unusable_sensors,
     with_sensors,
 )
-from models.thermal.training.online import Followed, compensated_um, follow, following_share, position_share
+from models.thermal.training.online import (
+    Followed,
+    compensated_um,
+    follow,
+    following_share,
+    position_share,
+    unsure_share,
+)
 from models.thermal.training.prepared import prepare
 from models.thermal.training.recipes import RECIPES
 from models.thermal.training.train_family import MOST_WATCHED, model_of
@@ -349,8 +356,9 @@ def _test_figures(inputs: Inputs, outcome: _Outcome) -> dict[str, Any]:
 
 
 def _following(parts: Sequence[Followed]) -> dict[str, float]:
-    share = position_share(parts)
-    return {"following": following_share(parts)} | ({} if share is None else {"position_known": share})
+    known, unsure = position_share(parts), unsure_share(parts)
+    found = {"following": following_share(parts)} | ({} if known is None else {"position_known": known})
+    return found | ({"imputed_unsure": unsure} if unsure > 0.0 else {})
 
 
 def _channel_figures(channels: Sequence[str], outcomes: Sequence[_Outcome]) -> dict[str, dict[str, Any]]:

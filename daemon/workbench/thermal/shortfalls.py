@@ -10,6 +10,7 @@ import numpy as np
 
 from models.recordings.findings import said_together
 from models.records import FloatArray
+from models.thermal.estimation import UNSURE_UM
 from models.thermal.features import BoolArray
 from models.thermal.training.inputs import Inputs
 from models.thermal.training.online import FULL_WEIGHT, HOLD_MIN, NO_WEIGHT
@@ -24,6 +25,8 @@ MOST_REVERSED = 1 / 3
 """Of more tests than this nobody knows which of them are the wrong way round."""
 POSITION_SHARE = 0.9
 """An axis position that is known for less of the time is why less would be had."""
+UNSURE_SHARE = 0.5
+"""What is imputed is why the output does not follow where it may be off by too much for so much of that time."""
 MOST_NAMED = 3
 SIGNS = {"slew": "it jumped", "flat": "it stood still", "departure": "the others say otherwise"}
 """What is said of a sensor that the watch excluded, by its sign."""
@@ -88,16 +91,23 @@ def position_sentences(tests: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _on_line_sentence(test: Mapping[str, Any], beyond: Sequence[str]) -> str:
-    online = test["online"]
+    online, unsure = test["online"], test["online"].get("imputed_unsure", 0.0)
     if (known := online.get("position_known", 1.0)) < POSITION_SHARE:
         cause = f"an axis position is not known for {1.0 - known:.0%} of the time: record it without gaps"
+    elif test["excluded"] and unsure > UNSURE_SHARE * (1.0 - online["following"]):
+        cause = (
+            f"for {unsure:.0%} of the time what is imputed for excluded sensors ({_excluded(test)}) may be off by more "
+            f"than {UNSURE_UM:g} um, above which the output holds: look at them, or record 2 more runs in which they "
+            "do the same"
+        )
     elif beyond:
         cause = (
             f"it goes beyond training ({', '.join(beyond)}): record 2 runs or cycles that go as far, and train on them"
         )
     elif test["excluded"]:
-        names = ", ".join(dict.fromkeys(one["sensor"] for one in test["excluded"]))
-        cause = f"sensors were excluded ({names}): look at them, or record 2 more runs in which they do the same"
+        cause = (
+            f"sensors were excluded ({_excluded(test)}): look at them, or record 2 more runs in which they do the same"
+        )
     else:
         cause = (
             "it begins without its past, or goes through a mixture of speeds and temperatures that training has not "
@@ -109,6 +119,10 @@ def _on_line_sentence(test: Mapping[str, Any], beyond: Sequence[str]) -> str:
         f"at a mean confidence of {online['mean_confidence']:.2f} (below {FULL_WEIGHT:g} an estimate counts less, "
         f"below {NO_WEIGHT:g} not at all); {cause}"
     )
+
+
+def _excluded(test: Mapping[str, Any]) -> str:
+    return ", ".join(dict.fromkeys(one["sensor"] for one in test["excluded"]))
 
 
 def harm_sentences(

@@ -35,6 +35,8 @@ class Followed:
     """Shape (n,); 0 while there is no estimate."""
     in_domain: BoolArray
     """Whether it may be followed at all, shape (n,)."""
+    unsure: BoolArray
+    """Whether what is imputed for excluded sensors may be off by more than the output follows, shape (n,)."""
     position_known: BoolArray | None = None
     """Whether every axis position that the model needs is known, shape (n,); None where it needs none."""
 
@@ -64,7 +66,7 @@ def follow(model: ThermalModel, inputs: Inputs, rows: IntArray) -> Followed:
     absent = np.zeros(len(ids), dtype=np.bool_)
     shape = (len(rows), len(model.channels))
     estimate_um, band_um = np.full(shape, np.nan), np.tile(model.band_um, (len(rows), 1))
-    confidence, in_domain = np.zeros(len(rows)), np.zeros(len(rows), dtype=np.bool_)
+    confidence, in_domain, unsure = np.zeros(len(rows)), *np.zeros((2, len(rows)), dtype=np.bool_)
     axes = len(ids) - len(model.axis_positions)
     trust, position_known = _positions(model, degc[rows, axes:], time_min[rows], inputs.period_min)
     for place, row in enumerate(rows):
@@ -78,13 +80,15 @@ def follow(model: ThermalModel, inputs: Inputs, rows: IntArray) -> Followed:
         imputed = np.isin(ids, found.imputed)
         absent[:axes], position_known[place] = imputed[:axes], position_known[place] and not imputed[axes:].any()
         estimate_um[place] = found.thermal_error_um
-        confidence[place] = found.confidence * trust[place] if found.imputed_um <= UNSURE_UM else 0.0
+        unsure[place] = found.imputed_um > UNSURE_UM
+        confidence[place] = 0.0 if unsure[place] else found.confidence * trust[place]
         band_um[place], in_domain[place] = model.band_um * found.band_factor, found.in_domain
     return Followed(
         estimate_um=estimate_um,
         band_um=band_um,
         confidence=np.where(position_known, confidence, 0.0),
         in_domain=in_domain,
+        unsure=unsure,
         position_known=position_known if model.axis_positions else None,
     )
 
@@ -154,6 +158,11 @@ def position_share(parts: Sequence[Followed]) -> float | None:
     """Return the share of rows in which the axis positions that the model needs are known; None: it needs none."""
     known = [part.position_known for part in parts if part.position_known is not None]
     return float(np.concatenate(known).mean()) if known else None
+
+
+def unsure_share(parts: Sequence[Followed]) -> float:
+    """Return the share of rows in which what is imputed for excluded sensors may be off by too much; 0 without rows."""
+    return float(np.concatenate([part.unsure for part in parts]).mean()) if parts else 0.0
 
 
 def following_share(parts: Sequence[Followed]) -> float:
