@@ -64,11 +64,11 @@ layers: $(VENV)/.installed-dev
 
 # The reference pages that are made from the code.
 docs: $(VENV)/.installed
-	$(BIN)/python -P -m config.reference > docs/reference/configuration.md
-	$(BIN)/python -P -m config.machine.spindle_reference > docs/reference/spindle-file.md
-	$(BIN)/python -P -m daemon.cli.reference > docs/reference/commands.md
-	$(BIN)/python -P -m daemon.monitor.web.reference > docs/reference/api.md
-	$(BIN)/python -P docs/reference/render_messages.py > docs/reference/messages.md
+	$(BIN)/python docs/reference/render_configuration.py > docs/reference/configuration.md
+	$(BIN)/python docs/reference/render_spindle_file.py > docs/reference/spindle-file.md
+	$(BIN)/python docs/reference/render_commands.py > docs/reference/commands.md
+	$(BIN)/python docs/reference/render_api.py > docs/reference/api.md
+	$(BIN)/python docs/reference/render_messages.py > docs/reference/messages.md
 
 # Fit the model of the simulated machine anew, on simulated days that are not the demo's.
 simulated-model: $(VENV)/.installed

@@ -1,6 +1,6 @@
 """Make the page of the messages from the code, and from what `messages.yaml` says of each: its cause and what to do.
 
-`python -P docs/reference/render_messages.py > docs/reference/messages.md`. What the code may say is read from its
+`python docs/reference/render_messages.py > docs/reference/messages.md`. What the code may say is read from its
 source: every text of three words or more in the modules whose words reach an operator, with … for what is filled in.
 A text that `messages.yaml` does not know, and an entry that no code says, end it with 1.
 """

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 import yaml
+from render_configuration import configuration_reference
 
 from config.loader import ConfigurationError, load_with_warnings, parse_yaml_model
-from config.reference import configuration_reference
 from config.sample import sample_configuration
 from config.schema import Configuration
 from drivers.guard.programs import guard_program

@@ -6,8 +6,7 @@ import sys
 from pathlib import Path
 
 from monitor_bench import accounts_file, monitor
-
-from daemon.monitor.web.reference import reference
+from render_api import api_reference
 
 EXAMPLES = 4
 """Of each operation in the fuzzing phase, beside what the coverage phase makes of every bound."""
@@ -58,7 +57,7 @@ async def test_every_answer_is_as_the_openapi_document_says(tmp_path: Path) -> N
 
 def test_the_reference_page_is_made_from_the_code() -> None:
     page = Path(__file__).parents[2] / "docs" / "reference" / "api.md"
-    assert page.read_text("utf-8") == reference(), "run `make docs`"
+    assert page.read_text("utf-8") == api_reference(), "run `make docs`"
 
 
 async def turn_for_ever(rig) -> None:

@@ -9,15 +9,15 @@ import click
 import pytest
 import yaml
 from configuration_keys import walk
+from render_commands import commands, commands_reference
+from render_configuration import configuration_reference
 
 from config.loader import parse_yaml_model
 from config.recordings.recording_map import RecordingMap
-from config.reference import configuration_reference
 from config.sample import sample_configuration
 from config.schema import Configuration
 from config.schema.plant_store import PlantStoreConfig
 from daemon.cli import COMMANDS, main
-from daemon.cli.reference import commands, commands_reference
 from daemon.monitor.web.metrics import OF_AXES
 from daemon.telemetry.metrics import Telemetry
 

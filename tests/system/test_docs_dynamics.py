@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
+from render_spindle_file import spindle_reference
+
 from config.machine.spindle import load_spindle
 from config.machine.spindle_chain import build_spindle
-from config.machine.spindle_reference import spindle_reference
 
 DOCS = Path(__file__).parents[2] / "docs"
 

@@ -1,29 +1,20 @@
 """The page of the messages knows every sentence that an operator may read, and no other."""
 
-import importlib.util
 from pathlib import Path
 
-import pytest
+import render_messages as render
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = ROOT / "docs" / "reference"
 
 
-@pytest.fixture(scope="module")
-def render():
-    spec = importlib.util.spec_from_file_location("render_messages", REFERENCE / "render_messages.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_every_sentence_has_its_cause_and_what_to_do(render):
+def test_every_sentence_has_its_cause_and_what_to_do():
     made, wrong = render.page(render.entries())
     assert not wrong, "write cause and remedy into docs/reference/messages.yaml: " + "; ".join(wrong)
     assert (REFERENCE / "messages.md").read_text(encoding="utf-8") == made, "run `make docs`"
 
 
-def test_a_new_sentence_and_one_that_is_gone_are_found(render, tmp_path):
+def test_a_new_sentence_and_one_that_is_gone_are_found(tmp_path):
     module = tmp_path / "module.py"
     module.write_text(
         '"""What it does is no message."""\n'

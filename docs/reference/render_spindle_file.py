@@ -1,8 +1,9 @@
-"""The reference page of spindle files, made from their schema: `python -m config.machine.spindle_reference`."""
+"""The reference page of spindle files, made from their schema by `make docs`."""
+
+from render_configuration import section_tables
 
 from config.machine.blank import BlankTest, ToolLibrary
 from config.machine.spindle import SpindleDescription, shipped_materials, shipped_spindles
-from config.reference import section_tables
 
 HEAD = """\
 # Spindle files

@@ -1,6 +1,5 @@
-"""The reference page of the API, made from its OpenAPI document: `python -m daemon.monitor.web.reference`."""
+"""The reference page of the API, made from its OpenAPI document by `make docs`."""
 
-import sys
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -26,7 +25,7 @@ process runs.
 """
 
 
-def reference() -> str:
+def api_reference() -> str:
     """Return the page in Markdown."""
     document = openapi_document(routed(FastAPI()))
     schemas = document["components"]["schemas"]
@@ -95,4 +94,4 @@ def _cell(text: str) -> str:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(reference())
+    print(api_reference(), end="")

@@ -1,4 +1,4 @@
-"""The reference page of all configuration keys, made from the schema: `python -m config.reference`."""
+"""The reference page of all configuration keys, made from the schema by `make docs`."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""The reference page of all commands, made from the commands themselves: `python -m daemon.cli.reference`."""
+"""The reference page of all commands, made from the commands themselves by `make docs`."""
 
 from collections.abc import Iterator
 
