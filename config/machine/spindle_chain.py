@@ -64,11 +64,9 @@ def build_spindle(
     return _builder(description, file, rotary, cells).build(description)
 
 
-def segment_elasticity(
-    description: SpindleDescription, segment: SegmentDescription, file: Path, cells: int = CELLS
-) -> Elasticity:
+def segment_elasticity(description: SpindleDescription, segment: SegmentDescription, file: Path) -> Elasticity:
     """Return the equivalent constants of a segment's own section; raises ConfigurationError."""
-    builder = _builder(description, file, None, cells)
+    builder = _builder(description, file, None, CELLS)
     found = builder.section(segment, ())
     if found is None:
         raise ConfigurationError(_located(file, builder.problems))

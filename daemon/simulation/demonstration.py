@@ -16,6 +16,7 @@ JUDGED_FROM_UM = 5.0
 DRAIN_S = 3.0
 """Wall time that the daemon gets for the last cycles."""
 LEFT_OUT_SHARE = 0.01
+SEEN_KEPT = 720
 """Share of the cycles of `temperatures.sources` that may be left out where the clock is fast: two that a busy computer
 brings within half a cycle period make one. The bytes of a line wait, so every cycle of it must arrive."""
 
@@ -151,8 +152,7 @@ def _failures(numbers: dict[str, Any], status: dict[str, Any], final: dict[str, 
 class Trail:
     """The last minutes of the true error per axis, for the live view."""
 
-    def __init__(self, kept: int = 720) -> None:
-        self._kept = kept
+    def __init__(self) -> None:
         self._seen = 0
         self.axes: dict[str, deque[tuple[float, float]]] = {}
         self.time_s = 0.0
@@ -161,7 +161,7 @@ class Trail:
         """Add what is new; return the newest report."""
         for report in reports[self._seen :]:
             for axis, truth in report.get("truth", {}).items():
-                series = self.axes.setdefault(axis, deque(maxlen=self._kept))
+                series = self.axes.setdefault(axis, deque(maxlen=SEEN_KEPT))
                 series.append((truth["uncompensated_um"], truth["compensated_um"]))
             self.time_s = report.get("time_s", self.time_s)
         self._seen = len(reports)

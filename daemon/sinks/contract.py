@@ -28,19 +28,18 @@ LASTED_S = 10.0
 class Retry:
     """How long to wait before something is tried again: little after the first failure, more with each that follows."""
 
-    def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
-        self._now_s = now_s
+    def __init__(self) -> None:
         self._wait_s = RETRY_FIRST_S
         self._works_since_s: float | None = None
 
     def works(self) -> None:
         """Note that the connection stands."""
         if self._works_since_s is None:
-            self._works_since_s = self._now_s()
+            self._works_since_s = time.monotonic()
 
     def after_failure(self) -> float:
         """Return how long to wait now [s]; not the same for all, so that a plant does not come back at one moment."""
-        if self._works_since_s is not None and self._now_s() - self._works_since_s >= LASTED_S:
+        if self._works_since_s is not None and time.monotonic() - self._works_since_s >= LASTED_S:
             self._wait_s = RETRY_FIRST_S
         wait_s, self._works_since_s = self._wait_s, None
         self._wait_s = min(RETRY_GROWTH * wait_s, RETRY_LONGEST_S)

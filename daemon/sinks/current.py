@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from daemon.sinks.outbox import STREAMS, Outbox
@@ -72,12 +72,11 @@ def _left(requested: Number, applied: Number) -> Number:
 class Freshness:
     """Whether anything is added to the history."""
 
-    def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
-        self._now_s = now_s
-        self._written, self._since_s = -1, now_s()
+    def __init__(self) -> None:
+        self._written, self._since_s = -1, time.monotonic()
 
     def fresh(self, outbox: Outbox) -> bool:
         """Return whether something was added in the last minutes."""
         if (written := outbox.written()) != self._written:
-            self._written, self._since_s = written, self._now_s()
-        return self._now_s() - self._since_s < SILENT_AFTER_S
+            self._written, self._since_s = written, time.monotonic()
+        return time.monotonic() - self._since_s < SILENT_AFTER_S

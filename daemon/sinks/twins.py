@@ -1,7 +1,6 @@
 """Which machines are two computers of one name, as the rows show that arrive from a broker."""
 
 import time
-from collections.abc import Callable
 
 import structlog
 
@@ -15,8 +14,7 @@ TWINS_S = 600.0
 class Twins:
     """A history store that was replaced sends no more; one of two computers comes again after the other."""
 
-    def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
-        self._now_s = now_s
+    def __init__(self) -> None:
         self._last: dict[str, str] = {}
         """Machine -> store of its last row."""
         self._left: dict[str, dict[str, float]] = {}
@@ -27,7 +25,7 @@ class Twins:
         """Take machine and store of a row, in the broker's order; an earlier version does not tell its store."""
         if not store or store == (before := self._last.setdefault(machine, store)):
             return
-        now_s = self._now_s()
+        now_s = time.monotonic()
         left = {name: at_s for name, at_s in self._left.get(machine, {}).items() if now_s - at_s < TWINS_S}
         if store in left:
             if machine not in self.names():
@@ -37,4 +35,4 @@ class Twins:
 
     def names(self) -> list[str]:
         """Return the machines of which two computers have sent lately."""
-        return sorted(name for name, at_s in self._found_s.items() if self._now_s() - at_s < TWINS_S)
+        return sorted(name for name, at_s in self._found_s.items() if time.monotonic() - at_s < TWINS_S)

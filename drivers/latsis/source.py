@@ -40,14 +40,13 @@ class LatsisSerialSource:
         sensors: Sequence[SensorConfig],
         clock: Clock,
         *,
-        dead_line_periods: float = DEAD_LINE_PERIODS,
         reader: LineReader | None = None,
     ) -> None:
         """Prepare the source; `reader` brings the bytes, by default from the line's port."""
         self.name = line.name
         self._line = line
         self._clock = clock
-        self._dead_line_s = dead_line_periods * line.cycle_period_s
+        self._dead_line_s = DEAD_LINE_PERIODS * line.cycle_period_s
         self._assembler = CycleAssembler(line, sensors)
         self._inbox: deque[tuple[bytes, Instant] | Exception] = deque()
         self._bytes_put = self._bytes_taken = 0

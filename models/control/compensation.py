@@ -80,9 +80,7 @@ TRANSITIONS: dict[OutputState, tuple[tuple[Condition, OutputState], ...]] = {
 """State -> (condition, next state), the first condition that holds wins."""
 
 
-def initial_memory(
-    *, now_s: float, applied_um: FloatArray, wanted: tuple[bool, ...], reason: str = "started"
-) -> OutputMemory:
+def initial_memory(*, now_s: float, applied_um: FloatArray, wanted: tuple[bool, ...]) -> OutputMemory:
     """Return the memory at the start of the daemon: the command begins at the CNC's echo.
 
     Parameters
@@ -93,8 +91,6 @@ def initial_memory(
         The guard's echo, shape (n_axes,) [um]; every value must be finite.
     wanted
         Axes that a person had switched on before the restart.
-    reason
-        Shown to people.
 
     Raises
     ------
@@ -109,7 +105,7 @@ def initial_memory(
     return OutputMemory(
         state=OutputState.HOLD if moved else OutputState.OFF,
         since_s=now_s,
-        reason="the CNC still applies an offset from before the start" if moved else reason,
+        reason="the CNC still applies an offset from before the start" if moved else "started",
         last_s=now_s,
         command_um=np.array(applied_um, dtype=np.float64),
         baseline_um=np.array(applied_um, dtype=np.float64),

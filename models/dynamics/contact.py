@@ -76,7 +76,6 @@ def identify_contact(
     measured: ComplexArray,
     *,
     start: Mapping[str, float] | None = None,
-    fixed: Mapping[str, float] | None = None,
     method: str = "lm",
 ) -> Identified:
     """Return the contact parameters of a joint that reproduce a measured response.
@@ -91,15 +90,12 @@ def identify_contact(
         Receptance at the front of what is in front [m/N], shape (n,).
     start
         Where to begin, by name.
-    fixed
-        Parameters that are kept, with their values.
     method
         `lm`, or `nelder-mead` on the dissertation's cost.
 
     """
-    kept = dict(fixed or {})
-    begin = {**INITIAL, **(start or {}), **kept}
-    free = [name for name in CONTACT if name not in kept]
+    begin = {**INITIAL, **(start or {})}
+    free = list(CONTACT)
 
     def model_of(side: Interface) -> Model:
         """Return response and slopes with the fitted contact in the place of the first one."""

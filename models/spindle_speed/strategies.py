@@ -53,14 +53,13 @@ class ProgrammedSpeed:
 class ResonanceRule:
     """Equation 5-9 on one axis: the speed follows the tracked resonance at every safe block.
 
-    `operation`: what is programmed. `axis`: the axis whose resonance is followed. `offset_hz`: signed f_o [Hz]. `lobe`:
-    k_c; None: at the first safe block, the one whose speed is nearest to the programmed one.
+    `operation`: what is programmed. `axis`: the axis whose resonance is followed. `offset_hz`: signed f_o [Hz].
     """
 
-    def __init__(
-        self, operation: MillingOperation, *, axis: str, offset_hz: float = 20.0, lobe: int | None = None
-    ) -> None:
-        self._operation, self._axis, self._offset_hz, self._lobe = operation, axis, offset_hz, lobe
+    def __init__(self, operation: MillingOperation, *, axis: str, offset_hz: float = 20.0) -> None:
+        self._operation, self._axis, self._offset_hz = operation, axis, offset_hz
+        self._lobe: int | None = None
+        """k_c: at the first safe block, the one whose speed is nearest to the programmed one."""
         self._pair = pair_at(operation, operation.demand.programmed_rpm, "programmed")
 
     def renew(self, now_s: float, phase: Phase, known: EstimatedToolPoint | None) -> SpeedInForce:

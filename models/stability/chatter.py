@@ -30,42 +30,34 @@ SPEED_REMARK = 0.005
 MAINS_HZ, MAINS_ORDERS = (50.0, 60.0), 8
 ALWAYS_RUNOUT = 2.5
 """Harmonics below this multiple of the spindle's turn are unbalance, however strong."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ChatterSettings:
-    """What counts as chatter."""
-
-    overlap: float = OVERLAP
-    """Share of a window that the next one repeats."""
-    power_ratio: float = 0.1
-    """Power of the line over that of the strongest forced line."""
-    prominence: float = 30.0
-    """Power density of the line over the median of its surroundings."""
-    frames_in_a_row: int = 3
-    lowest_hz: float = 20.0
-    """What is slower is no chatter of a spindle [Hz]."""
-    half_width_lines: float = 2.5
-    """Forced lines are removed this many lines of the spectrum to both sides."""
-    half_width_share: float = 0.0015
-    """And at least this share of their frequency."""
-    speed_tolerance: float = 0.03
-    """The true speed is searched within this share of the given one."""
-    runout_ratio: float = 4.0
-    """A line on a harmonic of the spindle's turn needs this power over the strongest tooth-passing line."""
-    flip_ratio: float = 5.0
-    """Lines half-way between harmonics of the tooth passing need in the mean this power over that of the other
-    harmonics of the turn."""
-    flip_of_two_ratio: float = 0.5
-    """With two teeth, where every harmonic of the turn is such a line, this power over the tooth-passing lines'."""
-    turn_width_lines: float = 1.25
-    """Lines on harmonics of the turn are taken for runout this many lines to both sides."""
-    turn_width_share: float = 0.0008
-    """And at least this share of their frequency."""
-    standing_ratio: float = 4.0
-    """A line that the machine has without the cut needs this power over what it has there."""
-    mains_ratio: float = 0.5
-    """A line on a harmonic of the mains needs this power over the strongest tooth-passing line."""
+POWER_RATIO = 0.1
+"""Power of the line over that of the strongest forced line."""
+PROMINENCE = 30.0
+"""Power density of the line over the median of its surroundings."""
+FRAMES_IN_A_ROW = 3
+LOWEST_HZ = 20.0
+"""What is slower is no chatter of a spindle [Hz]."""
+HALF_WIDTH_LINES = 2.5
+"""Forced lines are removed this many lines of the spectrum to both sides."""
+HALF_WIDTH_SHARE = 0.0015
+"""And at least this share of their frequency."""
+SPEED_TOLERANCE = 0.03
+"""The true speed is searched within this share of the given one."""
+RUNOUT_RATIO = 4.0
+"""A line on a harmonic of the spindle's turn needs this power over the strongest tooth-passing line."""
+FLIP_RATIO = 5.0
+"""Lines half-way between harmonics of the tooth passing need in the mean this power over that of the other
+harmonics of the turn."""
+FLIP_OF_TWO_RATIO = 0.5
+"""With two teeth, where every harmonic of the turn is such a line, this power over the tooth-passing lines'."""
+TURN_WIDTH_LINES = 1.25
+"""Lines on harmonics of the turn are taken for runout this many lines to both sides."""
+TURN_WIDTH_SHARE = 0.0008
+"""And at least this share of their frequency."""
+STANDING_RATIO = 4.0
+"""A line that the machine has without the cut needs this power over what it has there."""
+MAINS_RATIO = 0.5
+"""A line on a harmonic of the mains needs this power over the strongest tooth-passing line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,7 +99,6 @@ def judge_frame(
     frame: SpectrumFrame,
     speed_rpm: float,
     teeth: int,
-    settings: ChatterSettings | None = None,
     machine: FloatArray | None = None,
 ) -> FrameVerdict:
     """Return the verdict of one window.
@@ -123,45 +114,42 @@ def judge_frame(
         Spindle speed [1/min], to within the tolerance.
     teeth
         Number of teeth.
-    settings
-        What counts as chatter; None: the defaults.
     machine
         What the machine has without this cut, from `models.stability.spectra`, shape (n,); None when that is not
         known.
 
     """
-    rules = settings or ChatterSettings()
     spacing_hz = float(frame.frequency_hz[1])
-    passing_hz = _passing_hz(frame, speed_rpm * teeth / 60.0, rules)
-    width_hz = np.maximum(rules.half_width_lines * spacing_hz, rules.half_width_share * frame.frequency_hz)
-    if passing_hz < LEAST_SPACING * 2.0 * rules.half_width_lines * spacing_hz:
+    passing_hz = _passing_hz(frame, speed_rpm * teeth / 60.0)
+    width_hz = np.maximum(HALF_WIDTH_LINES * spacing_hz, HALF_WIDTH_SHARE * frame.frequency_hz)
+    if passing_hz < LEAST_SPACING * 2.0 * HALF_WIDTH_LINES * spacing_hz:
         raise StabilityError(
             f"at {speed_rpm:g} 1/min the teeth pass at {passing_hz:.3g} Hz, and lines of a spectrum are "
             f"{spacing_hz:.3g} Hz apart: between so many harmonics chatter cannot be told from the cut"
         )
     forced = _on_multiples(frame.frequency_hz, passing_hz, width_hz)
     turn_hz = passing_hz / teeth
-    turn_width_hz = np.maximum(rules.turn_width_lines * spacing_hz, rules.turn_width_share * frame.frequency_hz)
+    turn_width_hz = np.maximum(TURN_WIDTH_LINES * spacing_hz, TURN_WIDTH_SHARE * frame.frequency_hz)
     turning = _on_multiples(frame.frequency_hz, turn_hz, turn_width_hz) & ~forced
-    heard = frame.frequency_hz >= rules.lowest_hz
+    heard = frame.frequency_hz >= LOWEST_HZ
     density = frame.power_density
     power = np.convolve(density, np.ones(5), mode="same") * spacing_hz
     forced_power = float(power[forced & heard].max(initial=0.0))
     runout = frame.frequency_hz < ALWAYS_RUNOUT * turn_hz
-    of_turn = turning & (runout | (power < rules.runout_ratio * forced_power))
+    of_turn = turning & (runout | (power < RUNOUT_RATIO * forced_power))
     if teeth % 2 == 0:
-        of_turn &= ~_flip(frame.frequency_hz, power, passing_hz, teeth, rules)
+        of_turn &= ~_flip(frame.frequency_hz, power, passing_hz, teeth)
     counted = heard & ~forced & ~of_turn
-    counted &= ~(_of_mains(frame.frequency_hz) & (power < rules.mains_ratio * forced_power))
+    counted &= ~(_of_mains(frame.frequency_hz) & (power < MAINS_RATIO * forced_power))
     if machine is not None:
-        counted &= density > rules.standing_ratio * machine
+        counted &= density > STANDING_RATIO * machine
     own = np.convolve(np.where(counted, density, 0.0), np.ones(5), mode="same") * spacing_hz
     crest = np.concatenate(([False], (density[1:-1] >= density[:-2]) & (density[1:-1] >= density[2:]), [False]))
     place = int(np.argmax(np.where(counted & crest, density, 0.0)))
     prominence = _prominence(frame.power_density, place, forced)
     return FrameVerdict(
         time_s=frame.time_s,
-        chatter=bool(prominence >= rules.prominence and own[place] >= rules.power_ratio * forced_power),
+        chatter=bool(prominence >= PROMINENCE and own[place] >= POWER_RATIO * forced_power),
         frequency_hz=_peak_hz(frame, place),
         power=float(own[place]),
         forced_power=forced_power,
@@ -170,9 +158,7 @@ def judge_frame(
     )
 
 
-def _flip(
-    frequency_hz: FloatArray, power: FloatArray, passing_hz: float, teeth: int, rules: ChatterSettings
-) -> BoolArray:
+def _flip(frequency_hz: FloatArray, power: FloatArray, passing_hz: float, teeth: int) -> BoolArray:
     """Return which lines are flip chatter, on harmonics of the turn half-way between those of the tooth passing."""
     orders = np.arange(1, int(float(frequency_hz[-1]) * teeth / passing_hz) + 1)
     middles = np.rint(orders * passing_hz / teeth / float(frequency_hz[1])).astype(np.intp)
@@ -180,9 +166,9 @@ def _flip(
     strongest = power[near].max(axis=1)
     half, tooth = orders % teeth == teeth // 2, orders % teeth == 0
     if teeth == 2:  # runout lies on the same lines
-        needed = rules.flip_of_two_ratio * float(strongest[tooth].mean())
+        needed = FLIP_OF_TWO_RATIO * float(strongest[tooth].mean())
     else:
-        needed = rules.flip_ratio * float(strongest[~half & ~tooth].mean())
+        needed = FLIP_RATIO * float(strongest[~half & ~tooth].mean())
     flips: BoolArray = np.zeros(len(power), dtype=np.bool_)
     if half.any() and float(strongest[half].mean()) >= needed:
         flips[near[half].ravel()] = True
@@ -206,7 +192,7 @@ def _on_multiples(frequency_hz: FloatArray, base_hz: float, width_hz: FloatArray
     return on
 
 
-def _passing_hz(frame: SpectrumFrame, given_hz: float, rules: ChatterSettings) -> float:
+def _passing_hz(frame: SpectrumFrame, given_hz: float) -> float:
     """Return the tooth-passing frequency whose harmonics stand out most, near the given one."""
     highest = float(frame.frequency_hz[-1])
     if not 0.0 < given_hz < highest:
@@ -214,10 +200,10 @@ def _passing_hz(frame: SpectrumFrame, given_hz: float, rules: ChatterSettings) -
             f"the teeth pass at {given_hz:g} Hz, and the recording reaches {highest:g} Hz; "
             "check speed and teeth, or sample faster"
         )
-    orders = np.arange(1, min(HARMONICS_FOR_SPEED, int(highest / (given_hz * (1.0 + rules.speed_tolerance)))) + 1)
-    reach_hz = rules.speed_tolerance * given_hz * orders[-1]
+    orders = np.arange(1, min(HARMONICS_FOR_SPEED, int(highest / (given_hz * (1.0 + SPEED_TOLERANCE)))) + 1)
+    reach_hz = SPEED_TOLERANCE * given_hz * orders[-1]
     steps = 2 * math.ceil(reach_hz / (0.25 * float(frame.frequency_hz[1]))) + 1
-    trials = given_hz * np.linspace(1.0 - rules.speed_tolerance, 1.0 + rules.speed_tolerance, steps)
+    trials = given_hz * np.linspace(1.0 - SPEED_TOLERANCE, 1.0 + SPEED_TOLERANCE, steps)
     floor = float(np.median(frame.power_density)) + 1e-300
     level = np.log(frame.power_density + floor)
     score = np.interp(trials[:, None] * orders, frame.frequency_hz, level).sum(axis=1)
@@ -243,15 +229,11 @@ def _peak_hz(frame: SpectrumFrame, place: int) -> float:
     return float(frame.frequency_hz[place] + np.clip(shift, -0.5, 0.5) * frame.frequency_hz[1])
 
 
-def summarise(frames: Sequence[FrameVerdict], settings: ChatterSettings | None = None) -> ChatterVerdict:
-    """Return the verdict of several frames in the order of time.
-
-    Without `settings` the defaults say what counts as chatter. Raises StabilityError without a frame.
-    """
+def summarise(frames: Sequence[FrameVerdict]) -> ChatterVerdict:
+    """Return the verdict of several frames in the order of time; raises StabilityError without a frame."""
     if not frames:
         raise StabilityError("no window lies wholly in this part; choose a longer part of the recording")
-    rules = settings or ChatterSettings()
-    needed = min(rules.frames_in_a_row, len(frames))
+    needed = min(FRAMES_IN_A_ROW, len(frames))
     run, first = 0, None
     for number, frame in enumerate(frames):
         run = run + 1 if frame.chatter else 0
@@ -272,14 +254,11 @@ def summarise(frames: Sequence[FrameVerdict], settings: ChatterSettings | None =
     )
 
 
-def speed_warning(
-    verdict: ChatterVerdict, speed_rpm: float, teeth: int, settings: ChatterSettings | None = None
-) -> str | None:
+def speed_warning(verdict: ChatterVerdict, speed_rpm: float, teeth: int) -> str | None:
     """Return what the recording says against the given spindle speed [1/min] and number of teeth, None for nothing."""
-    tolerance = (settings or ChatterSettings()).speed_tolerance
     found_rpm = verdict.tooth_passing_hz * 60.0 / teeth
     off = found_rpm / speed_rpm - 1.0
-    if abs(off) >= 0.95 * tolerance:
+    if abs(off) >= 0.95 * SPEED_TOLERANCE:
         return (
             f"the teeth seem to pass at {verdict.tooth_passing_hz:.1f} Hz ({found_rpm:.0f} 1/min), at the edge of what "
             f"is searched around {speed_rpm:g} 1/min: check speed and teeth; the verdict may be wrong"
@@ -300,14 +279,12 @@ class ChatterMonitor:
         sample_rate_hz: float,
         speed_rpm: float,
         teeth: int,
-        settings: ChatterSettings | None = None,
         machine: FloatArray | None = None,
     ) -> None:
         self._machine = machine
         self._rate_hz, self._teeth = sample_rate_hz, teeth
-        self._rules = settings or ChatterSettings()
         self._length = window_samples(sample_rate_hz)
-        self._hop = max(int(self._length * (1.0 - self._rules.overlap)), 1)
+        self._hop = max(int(self._length * (1.0 - OVERLAP)), 1)
         self._speed_rpm = speed_rpm
         self._held = np.zeros(0)
         self._start = 0
@@ -316,7 +293,7 @@ class ChatterMonitor:
     @property
     def alarm(self) -> bool:
         """Whether the last frames in a row showed chatter, as many as a verdict needs."""
-        return self._run >= self._rules.frames_in_a_row
+        return self._run >= FRAMES_IN_A_ROW
 
     def push(self, acceleration_m_s2: FloatArray) -> list[FrameVerdict]:
         """Take samples [m/s^2], any number, and return the verdicts of the windows that they complete.
@@ -327,7 +304,7 @@ class ChatterMonitor:
         verdicts = []
         while len(self._held) >= self._length:
             frame = spectrum(self._held[: self._length], self._start, self._rate_hz)
-            verdict = judge_frame(frame, self._speed_rpm, self._teeth, self._rules, self._machine)
+            verdict = judge_frame(frame, self._speed_rpm, self._teeth, self._machine)
             self._run = self._run + 1 if verdict.chatter else 0
             verdicts.append(verdict)
             self._held = self._held[self._hop :]
@@ -340,7 +317,6 @@ def detect_chatter(
     sample_rate_hz: float,
     speed_rpm: float,
     teeth: int,
-    settings: ChatterSettings | None = None,
     machine: FloatArray | None = None,
 ) -> ChatterVerdict:
     """Judge a whole recording.
@@ -358,11 +334,9 @@ def detect_chatter(
         Spindle speed [1/min].
     teeth
         Number of teeth.
-    settings
-        What counts as chatter; None: the defaults.
 
     """
     check_length(len(acceleration_m_s2), sample_rate_hz, window_samples(sample_rate_hz))
     check_clipping(acceleration_m_s2)
-    monitor = ChatterMonitor(sample_rate_hz, speed_rpm, teeth, settings, machine)
-    return summarise(monitor.push(acceleration_m_s2), settings)
+    monitor = ChatterMonitor(sample_rate_hz, speed_rpm, teeth, machine)
+    return summarise(monitor.push(acceleration_m_s2))

@@ -10,6 +10,9 @@ from models.errors import StabilityError
 from models.records import FloatArray
 from models.stability.milling import tooth_passing_hz
 
+FEED_STEP_DEG = 22.5
+"""Between the feed directions that are looked at; opposite ones are equal [deg]."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LobeMinimum:

@@ -8,7 +8,7 @@ import numpy as np
 
 from models.records import FloatArray
 from models.stability.collocation import follows, spectral_radii
-from models.stability.lobes import LobeMinimum, StabilityLobes, check_range, lowest_of
+from models.stability.lobes import FEED_STEP_DEG, LobeMinimum, StabilityLobes, check_range, lowest_of
 from models.stability.milling import Cut, directional_matrix
 from models.stability.response import ModalResponse
 from models.stability.semi_discretisation import (
@@ -129,9 +129,8 @@ def semi_discretised_over_feed_directions(
     points: int,
     max_depth_mm: float | None = None,
     steps: int | None = None,
-    step_deg: float = 22.5,
 ) -> StabilityLobes:
-    """Return, at each speed, the lowest lobes over feed directions `step_deg` [deg] apart; else as above."""
+    """Return, at each speed, the lowest lobes over feed directions `FEED_STEP_DEG` [deg] apart; else as above."""
     return lowest_of(
         [
             semi_discretised_lobes(
@@ -144,7 +143,7 @@ def semi_discretised_over_feed_directions(
                 max_depth_mm=max_depth_mm,
                 steps=steps,
             )
-            for feed_deg in np.arange(0.0, 180.0, step_deg)
+            for feed_deg in np.arange(0.0, 180.0, FEED_STEP_DEG)
         ]
     )
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from models.errors import StabilityError
 from models.records import FloatArray
-from models.stability.lobes import LobeMinimum, StabilityLobes, check_lines, check_range
+from models.stability.lobes import FEED_STEP_DEG, LobeMinimum, StabilityLobes, check_lines, check_range
 from models.stability.milling import Cut, mean_directional_matrix, tooth_passing_hz
 from models.stability.response import ComplexArray, SampledResponse, ToolPointResponse, check_finite, feed_rotation
 from models.units import mm_from_m
@@ -71,14 +71,14 @@ def zeroth_order_lobes(
 
 
 def lowest_over_feed_directions(
-    response: ToolPointResponse, cut: Cut, *, from_rpm: float, to_rpm: float, points: int, step_deg: float = 22.5
+    response: ToolPointResponse, cut: Cut, *, from_rpm: float, to_rpm: float, points: int
 ) -> StabilityLobes:
-    """Return, at each speed, the lowest lobes over all feed directions.
+    """Return, at each speed, the lowest lobes over feed directions `FEED_STEP_DEG` apart.
 
     `feed_deg` of the result is the direction with the lowest minimum. Opposite directions are
-    equal. Parameters and errors are those of `zeroth_order_lobes`; `step_deg` [deg] divides 180.
+    equal. Parameters and errors are those of `zeroth_order_lobes`.
     """
-    feeds = tuple(np.arange(0.0, 180.0, step_deg).tolist())
+    feeds = tuple(np.arange(0.0, 180.0, FEED_STEP_DEG).tolist())
     return _lobes(response, cut, (from_rpm, to_rpm, points), feeds)
 
 

@@ -37,19 +37,16 @@ def window_samples(sample_rate_hz: float) -> int:
     return int(2 ** round(math.log2(WINDOW_S * sample_rate_hz)))
 
 
-def short_time_spectra(
-    acceleration_m_s2: FloatArray, sample_rate_hz: float, overlap: float = OVERLAP, window: int | None = None
-) -> list[SpectrumFrame]:
+def short_time_spectra(acceleration_m_s2: FloatArray, sample_rate_hz: float) -> list[SpectrumFrame]:
     """Return spectra of overlapping windows (Hann).
 
     Result: in the order of time. Raises StabilityError when the signal is shorter than a window.
 
-    `acceleration_m_s2`: shape (n,) [m/s^2]. `sample_rate_hz`: samples per second [Hz]. `overlap`: share of a window
-    that the next one repeats, below 1. `window`: samples of a window; None takes `window_samples`.
+    `acceleration_m_s2`: shape (n,) [m/s^2]. `sample_rate_hz`: samples per second [Hz].
     """
-    length = window or window_samples(sample_rate_hz)
+    length = window_samples(sample_rate_hz)
     check_length(len(acceleration_m_s2), sample_rate_hz, length)
-    hop = max(int(length * (1.0 - overlap)), 1)
+    hop = max(int(length * (1.0 - OVERLAP)), 1)
     starts = range(0, len(acceleration_m_s2) - length + 1, hop)
     return [spectrum(acceleration_m_s2[start : start + length], start, sample_rate_hz) for start in starts]
 

@@ -56,7 +56,7 @@ class FittedProperty:
     """Root mean square error on stretches of time that were left out, beside the property's own deviation."""
 
 
-def minute_grid(time_min: FloatArray, longest_gap_min: float = LONGEST_GAP_MIN) -> FloatArray:
+def minute_grid(time_min: FloatArray) -> FloatArray:
     """Return whole minutes between the first and the last response, without those in longer gaps [min]."""
     grid = np.arange(np.ceil(time_min[0]), np.floor(time_min[-1]) + 1.0)
     after = np.searchsorted(time_min, grid, side="left").clip(1, len(time_min) - 1)
@@ -64,7 +64,7 @@ def minute_grid(time_min: FloatArray, longest_gap_min: float = LONGEST_GAP_MIN) 
         time_min[after] - time_min[after - 1],
         np.minimum(abs(time_min[after] - grid), abs(grid - time_min[after - 1])),
     )
-    return np.asarray(grid[(gap <= longest_gap_min) | (near <= NEAR_MIN)], dtype=np.float64)
+    return np.asarray(grid[(gap <= LONGEST_GAP_MIN) | (near <= NEAR_MIN)], dtype=np.float64)
 
 
 def minute_series(
@@ -72,7 +72,6 @@ def minute_series(
     values: FloatArray,
     recorded_min: FloatArray,
     recorded_degc: FloatArray,
-    longest_gap_min: float = LONGEST_GAP_MIN,
 ) -> MinuteSeries:
     """Interpolate properties to whole minutes and take the temperatures' means beside them.
 
@@ -88,11 +87,9 @@ def minute_series(
         Times of the recording [min], shape (n,).
     recorded_degc
         Temperatures of the signals [degC], NaN where unknown, shape (n, m).
-    longest_gap_min
-        Between responses further apart nothing is interpolated [min].
 
     """
-    grid = minute_grid(response_min, longest_gap_min)
+    grid = minute_grid(response_min)
     at = np.stack([np.interp(grid, response_min, column) for column in values.T], axis=1)
     now = _minute_means(recorded_min, recorded_degc, grid)
     past = {each: _minute_means(recorded_min, recorded_degc, grid - each) for each in INTERVALS_MIN if each}

@@ -50,7 +50,6 @@ def select_signals(
     degc: FloatArray,
     properties: Sequence[str],
     values: FloatArray | None,
-    alike: float = ALIKE,
     crosscorrelation: FloatArray | None = None,
 ) -> SignalSelection:
     """Choose one signal of every group of like ones.
@@ -68,8 +67,6 @@ def select_signals(
         Names of the properties.
     values
         Shape (n, p), SI units; None with `crosscorrelation`.
-    alike
-        Coefficient of correlation from which on two signals are alike, 0 to 1.
     crosscorrelation
         Coefficients between signals and properties, shape (m, p), where they are known already.
 
@@ -82,7 +79,7 @@ def select_signals(
     order = np.argsort(-np.mean(np.abs(cross), axis=1), kind="stable")
     groups: dict[int, list[int]] = {}
     for index in order.tolist():
-        leader = next((each for each in groups if abs(auto[each, index]) > alike), None)
+        leader = next((each for each in groups if abs(auto[each, index]) > ALIKE), None)
         groups.setdefault(index if leader is None else leader, []).append(index)
     chosen = sorted(groups)
     return SignalSelection(

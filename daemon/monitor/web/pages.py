@@ -38,13 +38,12 @@ class Page:
 class Pages:
     """The files of the folder; one that has changed is read again."""
 
-    def __init__(self, folder: Path = FOLDER) -> None:
-        self._folder = folder
+    def __init__(self) -> None:
         self._pages: dict[str, Page] = {}
 
     def _page(self, name: str) -> Page | None:
         """Return a file of the folder by its name, None where there is none."""
-        path = self._folder / name
+        path = FOLDER / name
         if any(part in ("", ".", "..") for part in name.split("/")) or "\0" in name or "\\" in name:
             return None
         try:

@@ -26,7 +26,6 @@ def lobes_picture(
     *,
     commanded: Sequence[float | None] = (),
     depth_mm: float | None = None,
-    title: str = "Stability lobes",
 ) -> None:
     """Draw the lobes of one or more states, filled where a cut is stable, and the working point of each state."""
     lowest = [lobes.minimum.depth_mm for _, lobes in diagrams if lobes.minimum]
@@ -52,7 +51,7 @@ def lobes_picture(
     axes = Axes(
         x_label="spindle speed [1/min]", y_label="limiting depth of cut [mm]", curves=curves, y_range=(0.0, 1.02 * top)
     )
-    save(path, Figure(title=title, axes=[axes], heights=(620,)))
+    save(path, Figure(title="Stability lobes", axes=[axes], heights=(620,)))
 
 
 def responses_picture(
@@ -98,4 +97,4 @@ def spectrogram_picture(
         unit="power density [dB re 1 (m/s²)²/Hz]",
     )  # fmt: skip
     axes = Axes(x_label="time [s]", y_label="frequency [Hz]", heat=heat, curves=curves)
-    save(path, Figure(title=title, axes=[axes], heights=(620,)))
+    save(path, Figure(title="Stability lobes", axes=[axes], heights=(620,)))

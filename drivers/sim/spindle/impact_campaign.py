@@ -22,6 +22,7 @@ from drivers.sim.spindle.spindle_bearings import bearings, nominal_bearings
 from models.records import FloatArray
 
 AXES = ("x", "y")
+SPEED_RPM = 12000.0
 HITS = 5
 NOISE_SHARE = 0.02
 NOISE_FLOOR = 0.002
@@ -52,14 +53,14 @@ class CampaignPlan:
     duration_s: float
 
 
-def campaign_plan(speed_rpm: float = 12000.0) -> CampaignPlan:
+def campaign_plan() -> CampaignPlan:
     """Return warm-up by steps, then an hour of rotation and idle with the chiller, then the same without it."""
     blocks: list[Block] = [_idle(BEFORE_MIN, True)]
     hits = list(COLD_HITS_MIN)
     time_min = BEFORE_MIN
     for rotations, chiller in ((ROTATIONS_MIN, None), (HEATING_MIN, True), (HEATING_MIN, False)):
         for rotation in rotations:
-            blocks += [_turning(rotation, speed_rpm), _idle(STOP_MIN, True)]
+            blocks += [_turning(rotation), _idle(STOP_MIN, True)]
             hits.append(time_min + rotation + HIT_AFTER_MIN)
             time_min += rotation + STOP_MIN
         if chiller is not None:
@@ -73,9 +74,9 @@ def campaign_plan(speed_rpm: float = 12000.0) -> CampaignPlan:
     )
 
 
-def _turning(minutes: float, speed_rpm: float) -> Block:
+def _turning(minutes: float) -> Block:
     duration_s = minutes * MINUTE_S
-    return Block(sequence_number=ROTATION, kind="spindle", duration_s=duration_s, spindle_speed_rpm=speed_rpm)
+    return Block(sequence_number=ROTATION, kind="spindle", duration_s=duration_s, spindle_speed_rpm=SPEED_RPM)
 
 
 def _idle(minutes: float, chiller: bool) -> Block:

@@ -31,6 +31,8 @@ WARMTH_SHARE = 0.25
 MODES_PER_AXIS = 6
 """Modes of the finite elements that a cut feels, up to some 4.5 kHz; the others are stiff."""
 REFERENCE_DEGC = 20.0
+NOISE = 0.01
+"""Of a measured response, relative to each value and to the peak."""
 """Where the modes are those of the cold machine."""
 
 
@@ -134,13 +136,11 @@ class WarmingSpindle:
         return self._array.degc(self._array.codes(self._sensor_degc, self.time_s))
 
 
-def impact_response(
-    modes: VibrationModes, axis: int, frequency_hz: FloatArray, rng: np.random.Generator, noise: float = 0.01
-) -> FloatArray:
-    """Return a measured receptance [m/N] along an axis, complex; `noise` is relative to each value and to the peak."""
+def impact_response(modes: VibrationModes, axis: int, frequency_hz: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return a measured receptance [m/N] along an axis, complex."""
     ratio = frequency_hz[:, None] / modes.frequency_hz
     terms = 1.0 / (modes.stiffness_n_per_m * (1.0 - ratio**2 + 2j * modes.damping_ratio * ratio))
     true = terms[:, np.array(modes.axis) == axis].sum(axis=1)
-    size = noise * (np.abs(true) + 0.1 * np.abs(true).max())
+    size = NOISE * (np.abs(true) + 0.1 * np.abs(true).max())
     measured: FloatArray = true + size * (rng.standard_normal(len(true)) + 1j * rng.standard_normal(len(true)))
     return measured

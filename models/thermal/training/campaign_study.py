@@ -95,15 +95,13 @@ def residual_maps(
     sensor_order: npt.NDArray[np.intp],
     *,
     intercept: bool,
-    progress: Progress | None = None,
 ) -> dict[Key, ResidualMap]:
     """Return the residuals of every model on every group of test sets (Figs. 3-15 to 3-18, 3-20 to 3-22).
 
     Result: a map by (model, group).
 
     `training`: in the order in which they are added. `tests`: test sets by the name of their group; their displacements
-    are raw. `sensor_order`, `intercept`: see `progressive_fits`. `progress`: called with (done, total) numbers of
-    training sets.
+    are raw. `sensor_order`, `intercept`: see `progressive_fits`.
     """
     shape = (len(training), len(sensor_order))
     keys = [(model, group) for model in MODELS for group in tests]
@@ -115,8 +113,6 @@ def residual_maps(
             target[0] = residual_um.mean(axis=0)
             target[1] = residual_um.max(axis=0)
             target[2] = np.sqrt(np.square(residual_um).mean(axis=0))
-        if progress is not None:
-            progress(place + 1, len(training))
     return {key: ResidualMap(mean_um=each[0], max_um=each[1], rmse_um=each[2]) for key, each in figures.items()}
 
 

@@ -59,9 +59,9 @@ class Tokens:
             self._found.append(match[0].strip())
             at = match.end()
 
-    def peek(self, ahead: int = 0) -> str:
-        """Return a token to come, '' behind the last."""
-        return self._found[ahead] if ahead < len(self._found) else ""
+    def peek(self) -> str:
+        """Return the next token, '' behind the last."""
+        return self._found[0] if self._found else ""
 
     def take(self, expected: str = "") -> str:
         """Take the next token; raises NcError when it is not the expected one."""

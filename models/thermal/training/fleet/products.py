@@ -19,6 +19,8 @@ from models.thermal.training.lags import columns_of
 
 DESIGN = Design(departures=True, correlation_min=None)
 """Temperatures minus their lags: what a machine's lags have in common with its sisters' is told apart best."""
+MOST_ROWS = 1200
+"""So many rows of all machines tell the directions in which rows differ most."""
 MOST_DIRECTIONS = 120
 """So many directions, in which the temperatures of a type differ most, tell 96 % of what 302 sensors do."""
 POINTS = 24
@@ -187,10 +189,10 @@ def sample_of(inputs: Inputs) -> Sample:
     )
 
 
-def space_of(samples: Sequence[Sample], most_rows: int = 1200) -> Space:
+def space_of(samples: Sequence[Sample]) -> Space:
     """Return the space of a type: lags that its runs can teach, scales, and the directions in which rows differ most.
 
-    `samples`: of some of its machines. `most_rows`: so many rows of all of them tell the directions.
+    `samples`: of some of its machines.
     """
     first = samples[0]
     longest_min = max(sample.longest_min for sample in samples)
@@ -202,7 +204,7 @@ def space_of(samples: Sequence[Sample], most_rows: int = 1200) -> Space:
     )
     scale_rpm = max(sample.speed_scale_rpm for sample in samples)
     squares, tables = np.zeros(layout.columns), []
-    each = max(1, most_rows // len(samples))
+    each = max(1, MOST_ROWS // len(samples))
     for sample in samples:
         places = columns_of(layout, sample.layout)
         factor = speed_factors(layout, sample.speed_scale_rpm / scale_rpm)
