@@ -115,18 +115,9 @@ def initial_state(
 def age_s(state: CleansingState, now_s: float) -> FloatArray:
     """Return the time since each sensor's last accepted value.
 
-    Parameters
-    ----------
-    state
-        State after the last cycle.
-    now_s
-        Time on the clock of the cycles [s].
+    Result: of shape (n_sensors,): age [s]; inf where no value was ever accepted.
 
-    Returns
-    -------
-    numpy.ndarray, shape (n_sensors,)
-        Age [s]; inf where no value was ever accepted.
-
+    `state`: state after the last cycle. `now_s`: time on the clock of the cycles [s].
     """
     return np.maximum(now_s - state.accepted_at_s, 0.0)
 

@@ -42,20 +42,10 @@ def follow_reference(memory: OutputMemory, inputs: OutputInputs, stale_after_s: 
     While the CNC does not yet hold the new command, the guard may still apply the old one: what
     it then applied is the baseline, because moving back would be a second step on the part.
 
-    Parameters
-    ----------
-    memory
-        From the previous step.
-    inputs
-        What is known now.
-    stale_after_s
-        An older estimate does not tell how far the machine has gone until a new reference [s].
+    The memory has the reference of the inputs, or the old one while the echo is unknown.
 
-    Returns
-    -------
-    OutputMemory
-        With the reference of the inputs, or the old one while the echo is unknown.
-
+    `memory`: from the previous step. `stale_after_s`: an older estimate does not tell how far the machine has gone
+    until a new reference [s].
     """
     if inputs.reference_id != memory.reference_id:
         return _new_reference(memory, inputs, stale_after_s)
@@ -67,18 +57,9 @@ def follow_reference(memory: OutputMemory, inputs: OutputInputs, stale_after_s: 
 def follow_tool(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
     """Keep what is applied as the baseline of a tool on the axes that were set with it.
 
-    Parameters
-    ----------
-    memory
-        After `follow_reference`.
-    inputs
-        `tool_setting` tells the axes, `tool_number` the tool [-].
+    The memory is unchanged without a setting, without a valid reference, without an echo, or in a fault.
 
-    Returns
-    -------
-    OutputMemory
-        Unchanged without a setting, without a valid reference, without an echo, or in a fault.
-
+    `memory`: after `follow_reference`. `inputs`: `tool_setting` tells the axes, `tool_number` the tool [-].
     """
     axes = inputs.tool_setting
     if axes is None or memory.reference_id is None or not np.all(np.isfinite(inputs.applied_um)):
@@ -118,16 +99,9 @@ def _also_settling(memory: OutputMemory, axes: tuple[bool, ...]) -> tuple[bool, 
 def rest_of_tool(memory: OutputMemory, inputs: OutputInputs) -> tuple[FloatArray, FloatArray]:
     """Return where the request counts from with the tool in the spindle.
 
-    Parameters
-    ----------
-    memory, inputs
-        `inputs.tool_number` selects the tool's setting.
+    Result: `baseline_um`, `error_um`, shape (n_axes,): baseline [um], and the estimate that belongs to it [um].
 
-    Returns
-    -------
-    baseline_um, error_um : shape (n_axes,)
-        Baseline [um], and the estimate that belongs to it [um].
-
+    `inputs.tool_number` selects the tool's setting.
     """
     tool = memory.tools.get(inputs.tool_number)
     if tool is None:
@@ -144,17 +118,10 @@ def model_shift_um(memory: OutputMemory) -> FloatArray:
 def request_um(memory: OutputMemory, inputs: OutputInputs) -> FloatArray:
     """Return what follows from the estimate.
 
-    Parameters
-    ----------
-    memory, inputs
-        Baselines, offset and weight; the estimate [um].
+    Result: of shape (n_axes,): baseline + offset since the setting - weight (estimate since the setting + tool term)
+    [um]; NaN without an estimate.
 
-    Returns
-    -------
-    numpy.ndarray, shape (n_axes,)
-        baseline + offset since the setting - weight (estimate since the setting + tool term) [um];
-        NaN without an estimate.
-
+    `memory`: baselines, offset and weight.
     """
     baseline, error = rest_of_tool(memory, inputs)
     tool = memory.tools.get(inputs.tool_number)
@@ -169,20 +136,9 @@ def probe_inhibit(
 ) -> Inhibit | None:
     """Return why a probe value cannot correct the estimate, None when it can.
 
-    Parameters
-    ----------
-    memory, inputs, limits
-        As for `models.control.compensation.step`.
-    inhibit
-        The first reason against following the estimate, None when there is none.
-    probe_um : shape (n_axes,)
-        Deviation per axis, actual minus nominal [um]; NaN where not probed.
-
-    Returns
-    -------
-    Inhibit or None
-        The first reason.
-
+    `memory`, `inputs`, `limits`: as for `models.control.compensation.step`. `inhibit`: the first reason against
+    following the estimate, None when there is none. `probe_um`, shape (n_axes,): deviation per axis, actual minus
+    nominal [um]; NaN where not probed.
     """
     probed = np.isfinite(probe_um)
     if not probed.any():
@@ -211,18 +167,8 @@ def tool_setting_inhibit(
 
     Its error would stay when the sensors are back, until the tool is set again.
 
-    Parameters
-    ----------
-    memory, inputs, limits
-        As for `models.control.compensation.step`.
-    inhibit
-        The first reason against following the estimate, None when there is none.
-
-    Returns
-    -------
-    Inhibit or None
-        The first reason.
-
+    `memory`, `inputs`, `limits`: as for `models.control.compensation.step`. `inhibit`: the first reason against
+    following the estimate, None when there is none.
     """
     if inhibit is not None:
         return replace(inhibit, text=f"the tool cannot be set: {inhibit.text}")
@@ -264,18 +210,11 @@ def _incomplete(inputs: OutputInputs, limits: OutputLimits) -> Inhibit | None:
 def take_probe(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> OutputMemory:
     """Let the request cancel a probe's deviation from now on, as far as the probe is surer than the estimate.
 
-    Parameters
-    ----------
-    memory, inputs, limits
-        `inputs.probe_um` is what is left with what is applied now [um]; `probe_inhibit` was asked before. The noise
-        of a probe is in the limits.
+    The offset then makes the request `applied - deviation` on the probed axes, of a probe without noise;
+    in a fault it is left out.
 
-    Returns
-    -------
-    OutputMemory
-        With the offset that makes the request `applied - deviation` on the probed axes, of a probe without noise;
-        in a fault it is left out.
-
+    `inputs.probe_um` is what is left with what is applied now [um]; `probe_inhibit` was
+    asked before. The noise of a probe is in the limits.
     """
     if inputs.probe_um is None or memory.reference_id is None or inputs.output_fault is not None:
         return _offset_now(memory, inputs, limits)
@@ -349,20 +288,10 @@ def follow_confidence(memory: OutputMemory, inputs: OutputInputs, limits: Output
 def follow_error(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> OutputMemory:
     """Remember the latest estimate, from which a new reference tells how far the machine had gone until then.
 
-    Parameters
-    ----------
-    memory
-        From the previous step.
-    inputs
-        Estimate and what it counts from.
-    limits
-        An estimate of less than the least confidence is not followed.
+    Each axis that has one keeps it, when it counts from the latest reference.
 
-    Returns
-    -------
-    OutputMemory
-        With the estimate of each axis that has one, when it counts from the latest reference.
-
+    `memory`: from the previous step. `inputs`: estimate and what it counts from. `limits`: an estimate of less than the
+    least confidence is not followed.
     """
     if inputs.estimate_reference_id is None or inputs.estimate_reference_id != memory.error_reference_id:
         return memory

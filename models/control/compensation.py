@@ -83,20 +83,10 @@ TRANSITIONS: dict[OutputState, tuple[tuple[Condition, OutputState], ...]] = {
 def initial_memory(*, now_s: float, applied_um: FloatArray, wanted: tuple[bool, ...]) -> OutputMemory:
     """Return the memory at the start of the daemon: the command begins at the CNC's echo.
 
-    Parameters
-    ----------
-    now_s
-        Monotonic time [s].
-    applied_um
-        The guard's echo, shape (n_axes,) [um]; every value must be finite.
-    wanted
-        Axes that a person had switched on before the restart.
+    Raises ValueError when an echo is not finite: nothing may start from an unknown position.
 
-    Raises
-    ------
-    ValueError
-        When an echo is not finite: nothing may start from an unknown position.
-
+    `now_s`: monotonic time [s]. `applied_um`: the guard's echo, shape (n_axes,) [um]; every value must be finite.
+    `wanted`: axes that a person had switched on before the restart.
     """
     if not np.all(np.isfinite(applied_um)):
         raise ValueError("the CNC's echo is vacant or not a number; commissioning initialises it")
@@ -119,23 +109,12 @@ def initial_memory(*, now_s: float, applied_um: FloatArray, wanted: tuple[bool, 
 def step(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> tuple[OutputMemory, CompensationCommand]:
     """Advance the output by one step.
 
-    Parameters
-    ----------
-    memory
-        From `initial_memory` or the previous step.
-    inputs
-        What is known now; arrays of shape (n_axes,) in the order of `limits.axes`.
-    limits
-        Bounds; `n_axes` rows.
+    Result: `memory`, `command`: the new memory, and what is to be written. `command.compensation_um` is finite, never
+    leaves the absolute bound by moving, and moves by at most the slew rate [um], except that it returns at once to what
+    the guard has applied when a reference is set and when a fault is acknowledged (the tool is already there).
 
-    Returns
-    -------
-    memory, command
-        The new memory, and what is to be written. `command.compensation_um` is finite, never
-        leaves the absolute bound by moving, and moves by at most the slew rate [um], except that
-        it returns at once to what the guard has applied when a reference is set and when a fault
-        is acknowledged (the tool is already there).
-
+    `memory`: from `initial_memory` or the previous step. `inputs`: what is known now; arrays of shape (n_axes,) in the
+    order of `limits.axes`. `limits`: bounds; `n_axes` rows.
     """
     memory = _heed_requests(memory, inputs, limits)
     memory = follow_error(follow_reference(memory, inputs, limits.stale_after_s), inputs, limits)

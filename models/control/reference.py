@@ -361,23 +361,12 @@ def tool_set_right(
 ) -> ReferenceMemory:
     """Set a tool right that came into the spindle while a label had no value.
 
-    Parameters
-    ----------
-    memory
-        With the tool, whose label began at its last increment.
-    before
-        Of each label the time [s] and the mean increment [K] that it had last.
-    now_degc
-        Mean increment of the labels that have one [K].
-    now_s
-        Of these [s]; where they were measured before the tool came, and arrive after it, it begins at them.
+    Result: with what the tool began at on a straight line between the two, NaN where that was long after the one and
+    long before the other; unchanged where no label was away then.
 
-    Returns
-    -------
-    ReferenceMemory
-        With what the tool began at on a straight line between the two, NaN where that was long after the one and long
-        before the other; unchanged where no label was away then.
-
+    `memory`: with the tool, whose label began at its last increment. `before`: of each label the time [s] and the mean
+    increment [K] that it had last. `now_degc`: mean increment of the labels that have one [K]. `now_s`: of these [s];
+    where they were measured before the tool came, and arrive after it, it begins at them.
     """
     record = memory.record
     if record is None or record.tool is None:

@@ -44,20 +44,9 @@ def state_reference(estimator: LinearEstimator, state: ModelState) -> StateRefer
 def estimate_since(estimator: LinearEstimator, state: ModelState, reference: StateReference) -> Estimation | None:
     """Return the thermal error since a reference in which sensors may have been set anew.
 
-    Parameters
-    ----------
-    estimator
-        Of the model in use.
-    state
-        Of now.
-    reference
-        What it counts from.
+    Result: as `LinearEstimator.estimate`.
 
-    Returns
-    -------
-    Estimation or None
-        As `LinearEstimator.estimate`.
-
+    `estimator`: of the model in use. `reference`: what it counts from.
     """
     found = estimator.estimate(state, reference.state)
     if found is None:
@@ -82,23 +71,11 @@ def returning(
 ) -> tuple[int, ...]:
     """Return which sensors may count again and must be set anew for it.
 
-    Parameters
-    ----------
-    estimator
-        Of the model in use.
-    state
-        Of now.
-    reference
-        What it counts from.
-    absent
-        Indices of the sensors that have been imputed until now.
+    Result: indices of sensors with a value that were away, or were not known at the reference. One that the watch
+    excludes for what it said is not among them.
 
-    Returns
-    -------
-    tuple of int
-        Indices of sensors with a value that were away, or were not known at the reference. One that the watch
-        excludes for what it said is not among them.
-
+    `estimator`: of the model in use. `reference`: what it counts from. `absent`: indices of the sensors that have been
+    imputed until now.
     """
     then = reference.state
     back = then.missing | (state.since_min > then.known_min)
@@ -119,22 +96,9 @@ def rebased(
     expected; their lags of now begin where the others let them be expected. The thermal error does not move; what
     these sensors say from then on counts.
 
-    Parameters
-    ----------
-    estimator
-        Of the model in use.
-    state
-        Of now.
-    reference
-        What it counts from.
-    returned
-        Indices from `returning`.
+    None when no other sensor is left to impute from.
 
-    Returns
-    -------
-    tuple of ModelState and StateReference, or None
-        None when no other sensor is left to impute from.
-
+    `estimator`: of the model in use. `reference`: what it counts from. `returned`: indices from `returning`.
     """
     hidden = state.missing.copy()
     hidden[list(returned)] = True
@@ -159,22 +123,11 @@ def resumed(
 ) -> tuple[ModelState, StateReference]:
     """Return the states and the reference after a restart, with what sensors that had returned before count from.
 
-    Parameters
-    ----------
-    estimator
-        Of the model in use.
-    state
-        Of now, rebuilt from the history.
-    reference
-        Rebuilt from the history, with rest and shifts as they were kept.
-    columns
-        By index of the sensor: its temperature [degC] at the reference, and its lags in turn [degC].
+    Result: as if nobody had been away.
 
-    Returns
-    -------
-    tuple of ModelState and StateReference
-        As if nobody had been away.
-
+    `estimator`: of the model in use. `state`: of now, rebuilt from the history. `reference`: rebuilt from the history,
+    with rest and shifts as they were kept. `columns`: by index of the sensor: its temperature [degC] at the reference,
+    and its lags in turn [degC].
     """
     watched = estimator.reinitialised(state, sorted(columns))
     lagged = state.lagged + _faded_shift(estimator, reference, state.time_min)

@@ -224,22 +224,10 @@ def mean_of_type(
     What judges it are the machines that were left out when the type was learned: each was one of which nothing was
     known. It carries no watch of its sensors, and a lag begins as if the machine had been at rest.
 
-    Parameters
-    ----------
-    of_type
-        The type.
-    parts
-        Where each of the machine's temperatures sits, by its usual name, such as `T61`.
-    machine
-        Its name, for messages.
-    created
-        Date and time for the model, ISO 8601.
+    Raises DatasetError where the machine shares too few sensors with the type.
 
-    Raises
-    ------
-    DatasetError
-        The machine shares too few sensors with the type.
-
+    `of_type`: the type. `parts`: where each of the machine's temperatures sits, by its usual name, such as `T61`.
+    `machine`: its name, for messages. `created`: date and time for the model, ISO 8601.
     """
     space, names, own = of_type.space, tuple(parts), tuple(parts.values())
     sister, channels = Sister(of_type, own, space.speed_scale_rpm, machine), len(of_type.channels)
