@@ -10,8 +10,8 @@ from daemon.compensation.references import References
 from daemon.compensation.skill_monitor import SkillWatch
 from daemon.compensation.tool import ToolInSpindle
 from daemon.history.writer import HistoryWriter
-from models.control.baseline import probe_inhibit, tool_setting_inhibit
 from models.control.compensation import first_inhibit
+from models.control.probe_values import probe_inhibit, tool_setting_inhibit
 from models.control.state import Inhibit, InhibitCode, OutputInputs, OutputLimits, OutputMemory
 from models.records import CncSample, FloatArray, Instant, ProbeSample, ThermalErrorEstimate
 

@@ -12,17 +12,9 @@ from enum import StrEnum
 
 import numpy as np
 
-from models.control.baseline import (
-    follow_confidence,
-    follow_error,
-    follow_reference,
-    follow_tool,
-    request_um,
-    rest_of_tool,
-    take_probe,
-    weight_of,
-)
+from models.control.baseline import follow_error, follow_reference, follow_tool, request_um, rest_of_tool
 from models.control.measured import measured_inhibit
+from models.control.probe_values import follow_confidence, take_probe, weight_of
 from models.control.state import Inhibit, InhibitCode, OutputInputs, OutputLimits, OutputMemory
 from models.records import CompensationCommand, FloatArray, OutputState, Phase
 

@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from models.control.probing import BiasState, unknown_bias
 from models.control.state import (
     UNKNOWN_UM,
     Inhibit,
@@ -120,3 +121,8 @@ def carried_over(memory: OutputMemory, tool_number: int, tool: ToolBaseline) -> 
     of_tool_um = tool_unsure_um(memory, tool_number, memory.found_wrong_um)
     unsure_um = np.maximum(of_tool_um, _offset_unsure_um(memory, tool_number, memory.found_wrong_um))
     return replace(tool, found_wrong_um=-unsure_um - memory.unsure_um)
+
+
+def known_bias(memory: OutputMemory, now_s: float) -> BiasState:
+    """Return what is known of the offset of probes: nothing after a start of the daemon."""
+    return unknown_bias(len(memory.offset_um), now_s / 60.0) if memory.probed is None else memory.probed

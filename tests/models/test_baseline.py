@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 from output_machine import LIMITS, ON, Machine
 
-from models.control.baseline import probe_inhibit, request_um, tool_setting_inhibit, weight_of
+from models.control.baseline import request_um
 from models.control.compensation import LONGEST_INTERVAL_S, first_inhibit, step
+from models.control.probe_values import probe_inhibit, tool_setting_inhibit, weight_of
 from models.control.state import Inhibit, InhibitCode, OperatorRequest
 from models.records import OutputState, Phase
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 from output_machine import AXES, ON, Machine
 
-from models.control.baseline import probe_inhibit, tool_setting_inhibit
 from models.control.compensation import first_inhibit, initial_memory
+from models.control.probe_values import probe_inhibit, tool_setting_inhibit
 from models.control.reference import count_from
 from models.control.reference_records import ReferenceMemory, ReferenceRecord, ReferenceState
 from models.control.reference_restart import resumed

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from output_machine import LIMITS, Machine
 
-from models.control.baseline import probe_inhibit, tool_setting_inhibit
 from models.control.compensation import first_inhibit
+from models.control.probe_values import probe_inhibit, tool_setting_inhibit
 from models.records import OutputState
 
 NOTHING = {"reference_id": "r2", "estimate_reference_id": "r2", "thermal_error_um": np.zeros(2), "found_wrong_um": 0.0}
