@@ -432,7 +432,7 @@ def _log_faults(cycle: TemperatureCycle, left_out: int) -> None:
 
 
 def _probe_wander(model: ThermalModel) -> tuple[FloatArray, FloatArray] | None:
-    """Return how what the model misses wanders, per channel, see `models.control.probing`."""
+    """Return how what the model misses wanders, per channel, see `models.thermal.bias`."""
     return None if model.probing is None else (model.probing.um2_per_min, model.probing.correlation_min)
 
 

@@ -58,6 +58,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "daemon/estimation",
         "daemon/model_release/loading.py",
         "daemon/model_release/side_load.py",
+        "models/thermal/bias.py",
     ),
     "The spindle speed": (
         "daemon/spindle_speed",

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.control.probing import Wander
 from models.records import FloatArray, ThermalErrorEstimate
+from models.thermal.bias import Wander
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

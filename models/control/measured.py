@@ -9,7 +9,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from models.control.probing import BiasState, unknown_bias
 from models.control.state import (
     UNKNOWN_UM,
     Inhibit,
@@ -20,6 +19,7 @@ from models.control.state import (
     ToolBaseline,
 )
 from models.records import FloatArray
+from models.thermal.bias import BiasState, unknown_bias
 from models.thermal.estimation import UNSURE_UM
 
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from models.control.baseline import model_shift_um, request_um
 from models.control.measured import known_bias, offset_is_unsure, probe_of_tool_inhibit, with_probed
-from models.control.probing import ADVANCED_MIN, BiasFilter, Wander, full_reset
 from models.control.state import Inhibit, InhibitCode, OutputInputs, OutputLimits, OutputMemory
 from models.records import FloatArray, OutputState, Phase
+from models.thermal.bias import ADVANCED_MIN, BiasFilter, Wander, full_reset
 
 FADED_UM = 0.3
 """Where more of a step is still to fade, nothing that is measured now can be counted from [um]."""

@@ -7,8 +7,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from models.control.probing import BiasState, Wander
 from models.records import FloatArray, OutputState, Phase
+from models.thermal.bias import BiasState, Wander
 
 
 class InhibitCode(StrEnum):

@@ -6,9 +6,9 @@ A family is a form of model with a file and a way to run of its own. It touches 
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from models.control.probing import Wander
 from models.model_file import ModelError, family_of, parse, record_from, unsigned
 from models.records import FloatArray
+from models.thermal.bias import Wander
 from models.thermal.estimation import Machine, OnlineModel
 from models.thermal.linear import LinearModel, linear_model
 from models.thermal.model import HyperParameters

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from models.control.probing import Wander
 from models.model_file import ModelError, Numbers
 from models.records import FloatArray
+from models.thermal.bias import Wander
 from models.thermal.features import IntArray, Layout
 from models.thermal.sensor_watch import SensorWatch
 from models.thermal.solution import Solution

@@ -16,9 +16,9 @@ from daemon.simulation.faults.invariants import Ledger
 from daemon.simulation.faults.truth_watch import DELAY_S, PASSED_S, TruthWatch
 from daemon.simulation.faults.twin import Twin
 from daemon.simulation.processes import write_simulation_configuration
-from models.control.probing import Wander
 from models.recordings.dataset import Recording
 from models.records import FloatArray
+from models.thermal.bias import Wander
 from models.thermal.estimation import Machine, OnlineReference
 from models.thermal.family import ThermalModel, model_from_json
 from models.thermal.linear import LinearModel

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from models.control.probing import BiasFilter
 from models.recordings.dataset import DatasetError, Recording
 from models.records import FloatArray
+from models.thermal.bias import BiasFilter
 from models.thermal.features import lag_table
 from models.thermal.solution import band_factor, leverage_and_size
 from models.thermal.training.domain import farthest_leverage, leverage_positions

@@ -19,11 +19,11 @@ from daemon.workbench.thermal.shortfalls import (
     position_sentences,
     reversed_sentences,
 )
-from models.control.probing import BiasFilter
 from models.json_values import finite_or_none
 from models.recordings.dataset import DatasetError, Recording
 from models.recordings.findings import counted, usable_recordings
 from models.records import FloatArray
+from models.thermal.bias import BiasFilter
 from models.thermal.family import ThermalModel
 from models.thermal.features import BoolArray
 from models.thermal.model import HyperParameters

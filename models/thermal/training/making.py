@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from models.control.probing import Wander
 from models.recordings.dataset import Recording
 from models.records import FloatArray
+from models.thermal.bias import Wander
 from models.thermal.features import BoolArray, Design, Layout
 from models.thermal.gaussian import GaussianModel
 from models.thermal.linear import LinearModel

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.control.probing import BiasFilter, full_reset
 from models.records import FloatArray
+from models.thermal.bias import BiasFilter, full_reset
 from models.thermal.estimation import UNSURE_UM, Machine, OnlineReference
 from models.thermal.family import ThermalModel
 from models.thermal.features import BoolArray, IntArray
@@ -118,7 +118,7 @@ def compensated_um(
 
     The estimate counts by its confidence; where it must not be followed the output stays where it is for ten minutes
     and then goes back to zero, from where a person switches it on again when the estimate may be followed. A probe
-    corrects the output as `models.control.probing` says; what the estimate says since then comes on top.
+    corrects the output as `models.thermal.bias` says; what the estimate says since then comes on top.
 
     Parameters
     ----------

@@ -4,8 +4,8 @@ import itertools
 
 import numpy as np
 
-from models.control.probing import BiasFilter, BiasState, full_reset
 from models.records import FloatArray
+from models.thermal.bias import BiasFilter, BiasState, full_reset
 
 
 def wander_um2_per_min(time_min: FloatArray, residual_um: FloatArray, over_min: float) -> FloatArray:

@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from models.control.probing import BiasFilter
 from models.records import FloatArray
+from models.thermal.bias import BiasFilter
 from models.thermal.features import BoolArray, IntArray, lag_table
 from models.thermal.sensor_watch import SensorWatch
 from models.thermal.solution import band_factor

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.control.probing import BiasFilter
 from models.recordings.dataset import DatasetError
 from models.recordings.findings import counted
 from models.recordings.jumps import scatter_um
 from models.records import FloatArray
+from models.thermal.bias import BiasFilter
 from models.thermal.features import BoolArray, IntArray
 from models.thermal.solution import band_factor
 from models.thermal.training.advice import more_runs

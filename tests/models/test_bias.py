@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from output_machine import LIMITS, Machine
 
-from models.control.probing import BiasFilter, Wander
 from models.recordings.dataset import Recording
 from models.records import FloatArray
+from models.thermal.bias import BiasFilter, Wander
 from models.thermal.training.inputs import build_inputs
 from models.thermal.training.probing import probed_residual_um
 from models.thermal.training.trust import fit_bias_filter
