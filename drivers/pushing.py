@@ -44,7 +44,7 @@ class PushedSource(RowSource):
         self._single_since: Instant | None = None
         self._single_from_s = self._newest_s = -math.inf
         self._problems: deque[str] = deque(maxlen=MOST_WAITING)
-        self._heard_s = 0.0
+        self._came_s = 0.0
         self._wake = asyncio.Event()
         self._started = False
         self._closed = False
@@ -57,7 +57,7 @@ class PushedSource(RowSource):
 
         A row too soon after one is left out: cleansing counts readings that agree.
         """
-        self.heard()
+        self.came()
         if measured.monotonic_s - self._row_s < FEWEST_PERIODS * self._source.cycle_period_s:
             return
         self._row_s = measured.monotonic_s
@@ -86,14 +86,14 @@ class PushedSource(RowSource):
             silent = now.monotonic_s - self._newest_s > going_on_s
             self._single_from_s = max(now.monotonic_s + silent * apart_s, self._row_s + apart_s)
         self._newest_s = now.monotonic_s
-        self.heard()
+        self.came()
 
     def _of_one_device(self, readings: Readings) -> Readings:
         return {key: self._maker.of_one_device(key, reading) for key, reading in readings.items()}
 
-    def heard(self) -> None:
-        """Note that the source lives."""
-        self._heard_s = self._clock.now().real_s
+    def came(self) -> None:
+        """Note that something came from the source."""
+        self._came_s = self._clock.now().real_s
         self._wake.set()
 
     def report(self, problem: str) -> None:
@@ -115,7 +115,7 @@ class PushedSource(RowSource):
         if self._started or self._closed:
             raise RuntimeError(f"source {self.name}: it is used once; build a new one to open it again")
         self._started = True
-        self.heard()
+        self.came()
         self._task = asyncio.create_task(self.follow(), name=f"source {self.name}")
         self._task.add_done_callback(lambda _: self._wake.set())
         try:
@@ -170,9 +170,7 @@ class PushedSource(RowSource):
 
     async def _wait(self) -> None:
         """Wait for something new, for the end of a cycle period, or until the source has been silent for too long."""
-        silent_s = max(
-            self._left_real_s(self._heard_s, SILENT_PERIODS), self._heard_s + MIN_SILENT_REAL_S - self._now()
-        )
+        silent_s = max(self._left_real_s(self._came_s, SILENT_PERIODS), self._came_s + MIN_SILENT_REAL_S - self._now())
         if silent_s <= 0:
             raise LinkError(f"source {self.name}: {self.silent()}")
         since = self._single_since

@@ -67,7 +67,7 @@ def load_machine_map(path: Path, recordings: Sequence[Path]) -> tuple[MachineFil
         problems.append(Problem(file=str(path), line=0, column=0, key=f"machines.{name}.{key}", sentence=sentence))
 
     owners: dict[str, str] = {}
-    twins = _copies(whole)
+    copies = _copies(whole)
     found: list[MachineFiles] = []
     for name, entry in one.machines.items():
         own: list[str] = []
@@ -81,8 +81,8 @@ def load_machine_map(path: Path, recordings: Sequence[Path]) -> tuple[MachineFil
         for file in own:
             if (other := owners.setdefault(file, name)) != name:
                 refuse(name, "recordings", f"{whole[file].name} is a recording of {other} already")
-            if file in twins:
-                again = f"{whole[file]} holds the same as {twins[file]}"
+            if file in copies:
+                again = f"{whole[file]} holds the same as {copies[file]}"
                 refuse(name, "recordings", f"{again}: what is left out must not be known from elsewhere; give it once")
         configuration, columns = entry.configuration or one.configuration, entry.map or one.map
         if configuration is None:

@@ -316,7 +316,7 @@ def _unread(name: str, texts: Sequence[str]) -> str:
     held = f"{text!r}" if text else "an empty field"
     if not any(_number(each) is not None for each in texts):
         rows = f"none of its first {len(texts)} rows holds a number, row {row} {held}"
-        return f"{name!r} is left out: {rows}; is it dead?"
+        return f"{name!r} is left out: {rows}; is its sensor broken?"
     return (
         f"{name!r} is left out: row {row} holds {held}, which is no number; leave the field empty there and add the "
         "column to the map"

@@ -137,15 +137,15 @@ class Broker:
         self.check()
         return self._nobody == 0
 
-    def listen(self, hear: Callable[[str, bytes, bool], None]) -> None:
+    def on_message(self, take: Callable[[str, bytes, bool], None]) -> None:
         """Hand over topic, content and whether it was retained of what comes, in the library's thread."""
 
-        def take(_client: Any, _data: Any, each: paho.MQTTMessage) -> None:
-            hear(each.topic, bytes(each.payload), each.retain)
+        def handle(_client: Any, _data: Any, each: paho.MQTTMessage) -> None:
+            take(each.topic, bytes(each.payload), each.retain)
             with self._told():
                 pass
 
-        self._client.on_message = take
+        self._client.on_message = handle
 
     def subscribe(self, topic: str, retained: int = IF_NEW) -> None:
         """Subscribe, and wait for the acknowledgement: the broker has then what was sent before, too."""
@@ -164,17 +164,17 @@ class Broker:
         """Let the broker send a topic no longer."""
         self._client.unsubscribe(topic)
 
-    def wait_for(self, heard: Callable[[], bool], otherwise: str) -> None:
+    def wait_for(self, came: Callable[[], bool], otherwise: str) -> None:
         """Wait for something that comes; raises SinkError with this text when it does not."""
-        if not self.hears(heard, self._config.timeout_s):
+        if not self.comes(came, self._config.timeout_s):
             raise self.problem(otherwise)
 
-    def hears(self, heard: Callable[[], bool], within_s: float) -> bool:
+    def comes(self, came: Callable[[], bool], within_s: float) -> bool:
         """Wait for something that comes, at most so long; return whether it did. Raises SinkError after a loss."""
         with self._changed:
-            came = self._changed.wait_for(lambda: heard() or bool(self._lost), within_s)
+            done = self._changed.wait_for(lambda: came() or bool(self._lost), within_s)
         self.check()
-        return came
+        return done
 
     def problem(self, text: str) -> SinkError:
         """Return a text that names the broker."""

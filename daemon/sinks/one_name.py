@@ -55,11 +55,11 @@ class OneName:
         log.warning("sink.name", topic=self._topic, problem=why)
 
     def _claim(self) -> None:
-        self._broker.listen(self._hear)
+        self._broker.on_message(self._take)
         with suppress(SinkError):
             self._broker.subscribe(self._topic)
             self._broker.publish([self._message(CLAIM)])
-            self._broker.hears(lambda: self.taken or (self._own and not self._waits), ANSWER_S)
+            self._broker.comes(lambda: self.taken or (self._own and not self._waits), ANSWER_S)
         self._broker.check()
 
     def check(self) -> None:
@@ -68,7 +68,7 @@ class OneName:
             _refused.add(self._key)
             raise self._broker.problem(name_in_use(self._machine, self._topic))
 
-    def _hear(self, topic: str, content: bytes, retained: bool) -> None:
+    def _take(self, topic: str, content: bytes, retained: bool) -> None:
         """Take a message, in the library's thread."""
         said, _, store = content.decode("utf-8", "replace").partition(" ")
         if topic != self._topic or retained or said not in (CLAIM, TAKEN):

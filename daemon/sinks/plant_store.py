@@ -32,7 +32,7 @@ from daemon.sinks.database import STORE, Database, time_of
 from daemon.sinks.mqtt import topic_level
 from daemon.sinks.outbox import DAY_MS, STREAMS, Stream
 from daemon.sinks.row_messages import JSON_COLUMNS
-from daemon.sinks.twins import Twins
+from daemon.sinks.same_name import SameName
 from models.json_values import printable
 
 log = structlog.get_logger(__name__)
@@ -239,7 +239,7 @@ class PlantStore:
         self._told_s, self._stored = float("-inf"), 0
         self._retry = Retry()
         self._said = ""
-        self._twins = Twins()
+        self._same_name = SameName()
 
     def run(self) -> None:
         """Work until stopped."""
@@ -257,7 +257,7 @@ class PlantStore:
         there = self._config.postgresql
         where = f"database {there.host}:{there.port}/{there.database}"
         database, subscription = Database(there, where, STORE), Subscription(self._config.mqtt)
-        self._twins = Twins()  # what was not acknowledged comes again, in its order
+        self._same_name = SameName()  # what was not acknowledged comes again, in its order
         try:
             self._open(database)
             subscription.open()
@@ -297,8 +297,8 @@ class PlantStore:
             none = (
                 f"no message has come yet: see that machines publish, and that the broker lets `user_name` read {topic}"
             )
-            twins = f"; {two_computers(names)}" if (names := self._twins.names()) else ""
-            self._tell(f"stores; {came if self._stored else none}{twins}")
+            again = f"; {two_computers(names)}" if (names := self._same_name.names()) else ""
+            self._tell(f"stores; {came if self._stored else none}{again}")
 
     def _store(self, database: Database, messages: Sequence[paho.MQTTMessage]) -> None:
         """Commit the rows of messages; one that the database does not take is named and left out."""
@@ -322,7 +322,7 @@ class PlantStore:
         except (ValueError, RecursionError) as error:
             log.warning("store.refused", topic=printable(topic)[:LONGEST_PROBLEM], problem=_said(error))
             return None
-        self._twins.saw(row.machine, _store_of(message))
+        self._same_name.saw(row.machine, _store_of(message))
         return row
 
     def _put_alone(self, database: Database, row: StoredRow) -> None:

@@ -60,7 +60,7 @@ class PrimaryHost:
         """Take the next message whatever its time: the clock of a host may have been set back."""
         self._newest_ms = -1
 
-    def hear(self, content: bytes) -> None:
+    def update(self, content: bytes) -> None:
         """Take a message."""
         try:
             said = json.loads(content)
@@ -102,7 +102,7 @@ class SparkplugSink:
 
     def open(self, cursor: Cursor) -> Mapping[str, Position]:
         """Connect, with the node's death as will, and subscribe; the cursor says how far the broker has come."""
-        self._broker.listen(self._hear)
+        self._broker.on_message(self._on_message)
         self._broker.connect(Message(topic=self._topic.format("NDEATH"), payload=self._death()))
         self._broker.subscribe(self._commands)
         self._broker.subscribe(f"{self._topic.format('DCMD')}/{self._device}")
@@ -184,8 +184,8 @@ class SparkplugSink:
         """Wait until what was published last has come back: a broker drops without a word what it does not pass on."""
         for topic, waiting in self._unheard.items():
             if waiting:
-                heard = functools.partial(self._came_back, topic, waiting[-1])
-                self._broker.wait_for(heard, own_unheard(topic))
+                came = functools.partial(self._came_back, topic, waiting[-1])
+                self._broker.wait_for(came, own_unheard(topic))
 
     def _came_back(self, topic: str, payload: int) -> bool:
         return payload not in self._unheard[topic]
@@ -246,7 +246,7 @@ class SparkplugSink:
 
     # --- what comes from hosts, in the library's thread --------------------------------------
 
-    def _hear(self, topic: str, content: bytes, retained: bool) -> None:
+    def _on_message(self, topic: str, content: bytes, retained: bool) -> None:
         if topic == self._commands and not retained and asks_for_rebirth(content, REBIRTH):
             with self._lock:
                 self._asked = self._born
@@ -259,7 +259,7 @@ class SparkplugSink:
                 if (payload := hash(content)) in waiting:
                     self._unheard[topic] = waiting[waiting.index(payload) + 1 :]
         elif self._host is not None and topic == self._host.topic:
-            self._host.hear(content)
+            self._host.update(content)
             if self._born and not self._host.online:
                 self._broker.leave(primary_host_went(topic))
 

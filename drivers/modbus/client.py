@@ -145,8 +145,8 @@ class ModbusClient:
                 answer = await ask(request.start, count=request.count, device_id=request.unit_id)
         except (TimeoutError, ModbusException, OSError) as error:
             raise LinkError(self._no_answer(request)) from error
-        if (stranger := self._foreign(request, answer)) != "":
-            raise LinkError(f"{self._where}: {request}: {stranger}; it is dropped and the connection built anew")
+        if (mismatch := self._foreign(request, answer)) != "":
+            raise LinkError(f"{self._where}: {request}: {mismatch}; it is dropped and the connection built anew")
         if answer.isError():
             code = int(getattr(answer, "exception_code", 0))
             raise RefusedRead(f"{request}: the box refuses: {REFUSALS.get(code, 'for its own reason')} (code {code})")

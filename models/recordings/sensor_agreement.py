@@ -36,9 +36,9 @@ STUCK_K = 1.0
 STUCK_TIMES = 3.0
 """... and by more than so many times what it usually leaves."""
 MOST_SUSPECTED = 8
-"""So many sensors are tried as the one to blame."""
+"""So many sensors are tried as the one that is wrong."""
 AGREES_AGAIN = 0.5
-"""Without the one to blame, the others leave less than this share of what the two worst left."""
+"""Without the one that is wrong, the others leave less than this share of what the two worst left."""
 MOST_NAMED = 10
 
 
@@ -161,7 +161,7 @@ def _times_usual(parts: Sequence[Part], place: int, sensors: Sequence[int]) -> F
 
 
 def _culprit(parts: Sequence[Part], place: int, ratio: FloatArray, sensors: Sequence[int]) -> int | None:
-    """Return the sensor without which the others agree again in a part; None where no single one is to blame."""
+    """Return the sensor without which the others agree again in a part; None where no single one is wrong."""
     best, least = None, AGREES_AGAIN * float(np.sort(ratio)[-2:].mean())
     for column in np.argsort(-ratio)[:MOST_SUSPECTED].tolist():
         others = [sensor for sensor in sensors if sensor != sensors[column]]

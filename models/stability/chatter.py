@@ -131,15 +131,15 @@ def judge_frame(
     turn_hz = passing_hz / teeth
     turn_width_hz = np.maximum(TURN_WIDTH_LINES * spacing_hz, TURN_WIDTH_SHARE * frame.frequency_hz)
     turning = _on_multiples(frame.frequency_hz, turn_hz, turn_width_hz) & ~forced
-    heard = frame.frequency_hz >= LOWEST_HZ
+    high_enough = frame.frequency_hz >= LOWEST_HZ
     density = frame.power_density
     power = np.convolve(density, np.ones(5), mode="same") * spacing_hz
-    forced_power = float(power[forced & heard].max(initial=0.0))
+    forced_power = float(power[forced & high_enough].max(initial=0.0))
     runout = frame.frequency_hz < ALWAYS_RUNOUT * turn_hz
     of_turn = turning & (runout | (power < RUNOUT_RATIO * forced_power))
     if teeth % 2 == 0:
         of_turn &= ~_flip(frame.frequency_hz, power, passing_hz, teeth)
-    counted = heard & ~forced & ~of_turn
+    counted = high_enough & ~forced & ~of_turn
     counted &= ~(_of_mains(frame.frequency_hz) & (power < MAINS_RATIO * forced_power))
     if machine is not None:
         counted &= density > STANDING_RATIO * machine

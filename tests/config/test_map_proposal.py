@@ -111,7 +111,7 @@ def test_a_dead_column_is_left_out_for_what_it_holds_and_not_for_its_name() -> N
     assert found.keys["missing"] == ["---"], "what stands between numbers stands for a missing one"
     assert found.left_out == ("foo",), "the name of this one alone says nothing"
     dead, empty, channel = found.notes
-    assert dead == "'Temp 2' is left out: none of its first 3 rows holds a number, row 1 'OL'; is it dead?"
+    assert dead == "'Temp 2' is left out: none of its first 3 rows holds a number, row 1 'OL'; is its sensor broken?"
     assert "'Temp 3' is left out" in empty and "an empty field" in empty
     assert channel.startswith("'Y [um]' is left out: none of its first 3 rows holds a number, row 1 '---'")
     assert all(f"# {note}" in found.yaml() for note in found.notes)

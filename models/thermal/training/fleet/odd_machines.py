@@ -22,7 +22,7 @@ MOST_ODD = 0.25
 """No more of the machines than this are taken to be odd."""
 STRANGE = 3.0
 """So many times the error that others leave, in the middle, a machine leaves of which the others know too little. Of
-honest sisters whose physics scatter by 20 % none left more than 2.7 times as much."""
+sound sisters whose physics scatter by 20 % none left more than 2.7 times as much."""
 TURNED_LEAVES = 0.8
 """Turned round, less than this of the error is left, root mean square, ..."""
 TURNED_HELPS = 0.5
