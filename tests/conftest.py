@@ -78,8 +78,10 @@ def times_as_many(pytestconfig: pytest.Config) -> int:
 
 
 @pytest.fixture(autouse=True)
-def log_as_it_begins() -> Iterator[None]:
+def log_as_it_begins(request: pytest.FixtureRequest) -> Iterator[None]:
     """Undo what a command that ran in this process has set the log to."""
+    if request.node.get_closest_marker("quiet"):
+        structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(50))
     yield
     plain_log()
 

@@ -4,12 +4,11 @@ Thermal task, control task and the guard's text on the simulated SINUMERIK, whos
 """
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-import structlog
 from sloped_machine import PIVOT_MM, configured, content, proved
 from small_model import model
 from whole_loop import MOMENT_S, WholeLoop
@@ -18,6 +17,8 @@ from config.schema import Configuration
 from models.control.state import OperatorRequest
 from models.records import CncRun, FloatArray, OutputState
 from models.thermal.family import ThermalModel
+
+pytestmark = pytest.mark.quiet
 
 CHANNELS = ("Y1", "Z1", "Z1_per_m")
 """Um/K of every sensor: 0.5, 1 and 4, the last of them um/m."""
@@ -49,13 +50,6 @@ def machine(directory: Path, *, slope: bool) -> Configuration:
     if not slope:
         del given["compensation"]["axes"]["z_slope"]["estimate"]
     return configured(given)
-
-
-@pytest.fixture(autouse=True, scope="module")
-def quiet() -> Iterator[None]:
-    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(50))
-    yield
-    structlog.reset_defaults()
 
 
 class Sloped(WholeLoop):

@@ -1,32 +1,18 @@
 """`toolpoint dynamics bearings`: the contract, the bounds as configuration, bad input."""
 
-import json
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
+from dynamics_command import answer, call
 
 from config.machine.published_bearings import published_model
-from daemon.cli import main
 from models.thermomechanics.artifact import model_to_json
 
 AT_20 = ["--t-ir", "20", "--t-a", "20", "--t-f", "20", "--t-room", "20"]
 
 
-def call(*arguments: object) -> Result:
-    return CliRunner().invoke(main, ["dynamics", "bearings", *map(str, arguments)])
-
-
-def answer(*arguments: object) -> dict[str, dict[str, object]]:
-    result = call(*arguments, "--json", "-")
-    assert result.exit_code == 0, result.stderr
-    found = json.loads(result.stdout)
-    assert isinstance(found, dict)
-    return found
-
-
 def test_raw_value_and_flag_per_property() -> None:
-    found = answer("--axis", "y", *AT_20)
+    found = answer("bearings", "--axis", "y", *AT_20)
     assert set(found) == {"ct_12", "kr_12", "kt_34", "kt_5", "ct_5"}
     assert all(set(each) == {"raw", "value", "flagged"} for each in found.values())
     assert found["ct_5"]["flagged"] is True
@@ -45,7 +31,7 @@ def test_raw_value_and_flag_per_property() -> None:
 def test_bounds_that_are_none_are_refused_with_line_and_key(tmp_path: Path, text: str, complaint: str) -> None:
     own = tmp_path / "bounds.yaml"
     own.write_text(text)
-    result = call("--axis", "x", *AT_20, "--bounds", own)
+    result = call("bearings", "--axis", "x", *AT_20, "--bounds", own)
     assert result.exit_code == 2
     assert complaint in result.stderr
     assert str(own) in result.stderr
@@ -53,7 +39,7 @@ def test_bounds_that_are_none_are_refused_with_line_and_key(tmp_path: Path, text
 
 @pytest.mark.parametrize("wrong", ["nan", "inf", "400", "warm"])
 def test_temperatures_that_are_none_are_refused(wrong: str) -> None:
-    result = call("--axis", "x", "--t-ir", wrong, *AT_20[2:])
+    result = call("bearings", "--axis", "x", "--t-ir", wrong, *AT_20[2:])
     assert result.exit_code == 2
     assert "--t-ir" in result.stderr
 
@@ -61,9 +47,9 @@ def test_temperatures_that_are_none_are_refused(wrong: str) -> None:
 def test_a_model_of_a_campaign_takes_the_place_of_the_tables(tmp_path: Path) -> None:
     model = tmp_path / "model.json"
     model.write_text(model_to_json(published_model()))
-    assert answer("--axis", "x", *AT_20, "--model", model) == answer("--axis", "x", *AT_20)
+    assert answer("bearings", "--axis", "x", *AT_20, "--model", model) == answer("bearings", "--axis", "x", *AT_20)
     model.write_text(model_to_json(published_model()).replace("2910.0", "2910.5", 1))
-    result = call("--axis", "x", *AT_20, "--model", model)
+    result = call("bearings", "--axis", "x", *AT_20, "--model", model)
     assert result.exit_code == 2
     assert "model.json: sha256" in result.stderr
-    assert "cannot be opened" in call("--axis", "x", *AT_20, "--model", tmp_path / "none.json").stderr
+    assert "cannot be opened" in call("bearings", "--axis", "x", *AT_20, "--model", tmp_path / "none.json").stderr

@@ -6,15 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from dynamics_command import call
 
 from config.machines import shipped_file
-from daemon.cli import main
 from models.thermomechanics.artifact import model_from_json
-
-
-def call(*arguments: object) -> Result:
-    return CliRunner().invoke(main, ["dynamics", *map(str, arguments)])
 
 
 def refusal(*arguments: object) -> str:

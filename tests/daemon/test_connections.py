@@ -18,6 +18,7 @@ from daemon.monitor.control_client import ControlClient
 from daemon.monitor.control_socket import ControlSocket
 from daemon.monitor.web import server
 from daemon.monitor.web.server import serve_web
+from daemon.simulation.processes import free_port
 
 MANY = 200
 FLOOD_REPORTS = 30
@@ -41,12 +42,6 @@ async def running(serve: Callable[[Callable[[], None]], Awaitable[None]]) -> Asy
     finally:
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
-
-
-def port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def own_ends(served: int | Path) -> int:
@@ -83,7 +78,7 @@ async def get(number: int) -> bytes:
 
 async def test_half_sent_http_requests_are_bounded_and_others_are_answered(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "MOST_CONNECTIONS", 8)
-    number = port()
+    number = free_port()
     with capture_logs() as logs:
         async with running(lambda on: serve_web(healthy, "127.0.0.1", number, None, on)):
             peers = await half_said(lambda: asyncio.open_connection("127.0.0.1", number), b"GET /metrics HTTP/1.1\r\nX")

@@ -5,12 +5,11 @@ never lost.
 """
 
 import asyncio
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-import structlog
 from small_model import model
 from twin_loop import BEFORE, TwinLoop, some_places
 from whole_loop import MOMENT_S, lagged_model, loop_machine
@@ -20,6 +19,8 @@ from config.schema.cnc import AxisPositionConfig
 from drivers.contract import Capability, LinkError
 from models.records import CncRun, FloatArray, OutputState
 from models.thermal.family import ThermalModel
+
+pytestmark = pytest.mark.quiet
 
 AXIS = AxisPositionConfig(axis="Z", travel_mm=(0.0, 500.0), rapid_mm_per_min=6000.0)
 LOST = 9
@@ -34,13 +35,6 @@ SLEWED = 3
 HOLD_LIMIT = 60
 """Moments of `hold_limit_s`."""
 Loss = Callable[["Travelling"], None]
-
-
-@pytest.fixture(autouse=True, scope="module")
-def quiet() -> Iterator[None]:
-    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(50))
-    yield
-    structlog.reset_defaults()
 
 
 def with_axis(directory: Path) -> Configuration:

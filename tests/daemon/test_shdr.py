@@ -8,12 +8,12 @@ from dataclasses import replace
 import pytest
 from control_rig import HandClock, Rig, machine, record_for, running
 from memory_cnc import MemoryNc
-from monitor_bench import free_port
 from opcua_bench import NOW, temperatures
 
 from config.schema.service import ShdrConfig
 from daemon.monitor import shdr
 from daemon.monitor.shdr import ShdrAdapter
+from daemon.simulation.processes import free_port
 from models.records import OutputState
 
 LINE = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z)\|([A-Za-z0-9_]+)\|(.*)")

@@ -3,13 +3,12 @@
 The next one ends within 1 um of what a daemon that lived on applies, or its output holds and says why.
 """
 
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import structlog
 from dying_daemon import ACTS, DyingLoop
 from nc_requests import PROBE, TOOL_CHANGE, Z_AXIS, ask
 from small_model import model
@@ -18,16 +17,11 @@ from whole_loop import WholeLoop
 from models.control.state import OperatorRequest
 from models.records import OutputState
 
+pytestmark = pytest.mark.quiet
+
 WITHIN_UM, ROUNDED_UM = 1.0, 0.1
 MOMENTS, FEWEST_CALLS = 2, 8
 """So many moments are looked at from the act on, which have at least so many calls."""
-
-
-@pytest.fixture(autouse=True, scope="module")
-def quiet() -> Iterator[None]:
-    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(50))
-    yield
-    structlog.reset_defaults()
 
 
 def probe(loop: WholeLoop) -> None:

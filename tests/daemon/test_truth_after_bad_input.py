@@ -5,12 +5,10 @@ the test; the twin hears the same machine without any disturbance.
 """
 
 import asyncio
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-import structlog
 from bad_input import KINDS, bit_flips
 from small_model import model
 from twin_loop import TwinLoop, some_places
@@ -18,6 +16,8 @@ from whole_loop import lagged_model
 
 from models.records import FloatArray, OutputState
 from models.thermal.family import ThermalModel
+
+pytestmark = pytest.mark.quiet
 
 AFTER = 60
 """Moments of ten seconds after the bad input within which the output must be right again."""
@@ -31,14 +31,6 @@ FIRST = {"increments": 45, "lagged": 0}
 """Of the warm-up so many moments are left out: two and a half minutes are enough for a model without lags."""
 _twins: dict[tuple[object, ...], list[FloatArray]] = {}
 """What the twin of a model, a seed and pauses applies in each moment [um]."""
-
-
-@pytest.fixture(autouse=True, scope="module")
-def quiet() -> Iterator[None]:
-    """Thousands of moments would fill the log."""
-    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(50))
-    yield
-    structlog.reset_defaults()
 
 
 def outcome(directory: Path, kind: str, name: str, profile: str, seed: int) -> tuple[float, OutputState]:

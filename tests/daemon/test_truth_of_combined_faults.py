@@ -4,12 +4,13 @@ Histories are random, and every number is one; those that once ended wrong are p
 """
 
 import asyncio
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-import structlog
 from combined_faults import Attack
+
+pytestmark = pytest.mark.quiet
 
 MOMENTS = 40
 FIRST = 45
@@ -40,14 +41,6 @@ FOLLOWED = frozenset((
 # fmt: on
 """Of 50 random histories from 2000 on, and 40 from 2200 on with restarts, those that end with an output that follows:
 few others find anything at their end."""
-
-
-@pytest.fixture(autouse=True, scope="module")
-def quiet() -> Iterator[None]:
-    """Thousands of moments would fill the log."""
-    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(50))
-    yield
-    structlog.reset_defaults()
 
 
 def played(directory: Path, seed: int, *, wider: bool = False, first: int = 0) -> Attack:

@@ -1,20 +1,20 @@
 """What was read wrong for a while leaves nothing behind in the lags of a model, which last longer than that."""
 
 import asyncio
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import structlog
 from bad_input import _place, _said, _without
 from twin_loop import Disturbance, Frames, Place, TwinLoop
 from whole_loop import lagged_model
 
 from models.records import FloatArray, OutputState
 from models.thermal.linear import LinearModel
+
+pytestmark = pytest.mark.quiet
 
 MODEL = lagged_model("long", lags_min=(1.0, 10.0))
 SHORT = lagged_model("short", lags_min=(1.0, 5.0))
@@ -25,13 +25,6 @@ BEFORE = 200
 PLACE = Place(rise_k=np.array([6.0, 5.0, 7.0, 2.0, 3.0]), constant_s=np.full(5, 1500.0))
 STEEP = Place(rise_k=np.array([35.0, 30.0, 38.0, 12.0, 13.0]), constant_s=np.full(5, 6000.0))
 WITHIN_UM = 1.1
-
-
-@pytest.fixture(autouse=True, scope="module")
-def quiet() -> Iterator[None]:
-    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(50))
-    yield
-    structlog.reset_defaults()
 
 
 def other_level(sensor: int, begin: int, end: float, codes: int = 192) -> Disturbance:

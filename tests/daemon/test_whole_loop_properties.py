@@ -12,7 +12,6 @@ from pathlib import Path
 import hypothesis.strategies as st
 import numpy as np
 import pytest
-import structlog
 from control_rig import ENABLE, SENSOR_IDS, Y, Z
 from hypothesis import HealthCheck, settings
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
@@ -25,20 +24,14 @@ from drivers.sim.nc.safe_point import GuardStatus
 from models.control.state import OperatorRequest
 from models.records import CncRun, FloatArray, OutputState, Phase
 
+pytestmark = pytest.mark.quiet
+
 MODELS = {"first": model("first"), "second": model("second"), "lagged": lagged_model("lagged")}
 NOISE_UM = 1e-3
 AXES = st.sets(st.sampled_from(["y", "z"]), min_size=1).map(frozenset)
 SENSOR = st.integers(0, len(SENSOR_IDS) - 1)
 STILL = (OutputState.ARMED, OutputState.HOLD)
 WATCHED = (OutputState.ARMED, OutputState.ACTIVE, OutputState.HOLD, OutputState.RETREAT)
-
-
-@pytest.fixture(autouse=True, scope="module")
-def quiet():
-    """Thousands of moments would fill the log."""
-    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(50))
-    yield
-    structlog.reset_defaults()
 
 
 class Shop(RuleBasedStateMachine):

@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import http.client
 import json
-import socket
 import ssl
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
@@ -22,15 +21,10 @@ from daemon.monitor.web.live import Live
 from daemon.monitor.web.metrics import PresentMetrics
 from daemon.monitor.web.serving import serve_monitor
 from daemon.monitoring import ModelsOnDisk
+from daemon.simulation.processes import free_port
 
 PASSWORD = "long enough a password"
 PATIENCE_S = 60.0
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def accounts_file(directory: Path, **roles: str) -> Path:

@@ -16,13 +16,14 @@ from asyncua.crypto.uacrypto import CertProperties
 from asyncua.ua import MessageSecurityMode
 from control_rig import HandClock, Rig, machine, record_for, running
 from memory_cnc import MemoryNc
-from monitor_bench import PASSWORD, accounts_file, free_port
+from monitor_bench import PASSWORD, accounts_file
 from scripted_machine import CLIENT_URI, Keys
 
 from config.schema import Configuration
 from config.schema.service import OpcUaServerConfig
 from daemon.history.reader import HistoryReader
 from daemon.monitor.opcua.serving import OpcUaService
+from daemon.simulation.processes import free_port
 from models.quality import Quality, Reason
 from models.records import Instant, MachineTemperatures, Trace
 

@@ -24,12 +24,13 @@ import numpy as np
 import pytest
 from control_rig import HandClock, Rig, record_for, running
 from memory_cnc import MemoryNc
-from monitor_bench import PASSWORD, MonitorBench, accounts_file, free_port, monitor, parts_of
+from monitor_bench import PASSWORD, MonitorBench, accounts_file, monitor, parts_of
 from playwright.async_api import Browser, Page, async_playwright, expect
 from sloped_machine import TRAVEL_MM, configured, content, proved
 from speed_rig import SAFE, SpeedRig
 
 from daemon.monitor.web.serving import serve_monitor
+from daemon.simulation.processes import free_port
 
 ROOT = Path(__file__).parents[2]
 BUILD = runpy.run_path(str(ROOT / "hatch_build.py"))

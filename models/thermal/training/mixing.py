@@ -54,11 +54,6 @@ def even_weights(scores: Sequence[float]) -> dict[int, float]:
     return dict.fromkeys(sorted(kept), 1.0 / len(kept))
 
 
-def mixing_weights(errors: Sequence[LeftOutErrors]) -> dict[int, float]:
-    """Return how much each member counts when they are added one after the other, by index; see `mean_weights`."""
-    return _added_by_products(*_products(errors))
-
-
 def _judged(
     errors: Sequence[LeftOutErrors],
     without: FloatArray,
