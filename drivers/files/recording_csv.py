@@ -9,9 +9,8 @@ recording is of.
 
 import csv
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -30,87 +29,30 @@ from config.recordings.recording_map import (
     resolve_columns,
     usual_map,
 )
-from drivers.contract import FatalDriverError
-from drivers.files.recording_time import SECONDS, TimeReader, time_reader
+from drivers.files.recording_lines import (
+    METADATA_MARK,
+    Place,
+    RecordingFileError,
+    encoding_hint,
+    header_of,
+    is_number,
+    opened,
+    require_names,
+    second_header,
+)
+from drivers.files.recording_time import TimeReader, time_reader
 from models.recordings.dataset import DatasetError, Recording
 from models.recordings.plausibility import are_rises
 from models.recordings.slopes import SLOPE_SUFFIX, offset_and_slope
 from models.records import FloatArray
 from models.units import ZERO_CELSIUS_K
 
-__all__ = [
-    "SECONDS",
-    "EncodingError",
-    "RecordingFileError",
-    "read_beginning",
-    "read_header",
-    "read_recording",
-    "write_recording",
-]
-DELIMITERS = (",", ";", "\t")
 MISSING = frozenset({"", "nan", "NaN", "NAN", "NA"})
-MAX_FIELDS = 4096
-"""A recording has hundreds of columns; more means that the file is something else."""
-METADATA_MARK = "#"
-SEPARATOR_LINE = "sep="
-"""Spreadsheets begin a file with it; it says nothing that the header does not."""
-FEWEST_COLUMNS = 3
-"""A recording has a time, a temperature and a displacement."""
-MOST_BEFORE_HEADER = 100
-"""In so many lines after a first one that is no header, one is looked for."""
 HOUR_S = 3600.0
 LONGEST_STEP_S = 27 * 24 * HOUR_S
 """A run goes on for hours; a day that is read as a month is farther off [s]."""
 FIRST_ROW = 2
 """Line of the row after the header, where nothing stands before it."""
-
-
-class RecordingFileError(FatalDriverError):
-    """A recording cannot be read; the text begins with file, line and column where there is one."""
-
-
-class EncodingError(RecordingFileError):
-    """A recording is not written in the encoding that was expected."""
-
-
-class _Place:
-    """Where in the file the reader is."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.line = 0
-
-    def refuse(self, sentence: str, column: str | None = None) -> RecordingFileError:
-        place = f"{self.path}:{self.line}" if self.line else str(self.path)
-        return RecordingFileError(f"{place}: column {column}: {sentence}" if column else f"{place}: {sentence}")
-
-
-def read_header(path: Path) -> list[str]:
-    """Return the names of a recording's columns; raises `RecordingFileError`."""
-    place = _Place(path)
-    with _opened(place) as lines:
-        return _header(place, lines)[0]
-
-
-def read_beginning(path: Path, rows: int, encoding: str = "utf-8") -> tuple[list[str], list[list[str]]]:
-    """Return the names of a recording's columns and the texts of its first rows, whatever they hold.
-
-    Raises `RecordingFileError`.
-    """
-    place = _Place(path)
-    with _opened(place, encoding) as lines:
-        header, delimiter = _header(place, lines)
-        _require_names(place, header, lines)
-        first = place.line + 1
-        reader = csv.reader((line for line in lines if line.strip()), delimiter=delimiter)
-        try:
-            found = [[text.strip() for text in fields] for fields in islice(reader, rows)]
-        except csv.Error as error:
-            raise place.refuse(f"is not CSV ({error})") from error
-        place.line = first
-        if found and not any(map(_is_number, found[0])) and (sentence := second_header(header, found[0])):
-            raise place.refuse(sentence)
-        return header, found
 
 
 def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Recording:
@@ -121,16 +63,16 @@ def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Rec
     `path`: CSV file with one header row. `recording_map`: what the columns mean; None takes the usual names
     (`config.recordings.recording_map.usual_map`).
     """
-    place = _Place(path)
-    with _opened(place, "utf-8" if recording_map is None else recording_map.encoding) as lines:
-        header, delimiter = _header(place, lines)
-        _require_names(place, header, lines)
+    place = Place(path)
+    with opened(place, "utf-8" if recording_map is None else recording_map.encoding) as lines:
+        header, delimiter = header_of(place, lines)
+        require_names(place, header, lines)
         try:
             recording_map = recording_map or usual_map(header)
             columns = resolve_columns(recording_map, header)
         except ColumnError as error:
-            raise place.refuse(f"{error}{_encoding_hint(header)}") from error
-        if hint := _encoding_hint(header):
+            raise place.refuse(f"{error}{encoding_hint(header)}") from error
+        if hint := encoding_hint(header):
             raise place.refuse(f"the names of the columns are garbled{hint}")
         if recording_map.unit_row:
             _require_row_of_units(place, next(lines, ""), header, delimiter, recording_map)
@@ -192,42 +134,6 @@ def _with_slopes(
     )
 
 
-class _opened:
-    """The file's lines; read errors and wrong encodings become sentences."""
-
-    def __init__(self, place: _Place, encoding: str = "utf-8") -> None:
-        self._place, self._encoding = place, "utf-8-sig" if encoding == "utf-8" else encoding
-
-    def __enter__(self) -> Iterator[str]:
-        try:
-            self._file = self._place.path.open(encoding=self._encoding, newline="")
-        except OSError as error:
-            raise self._place.refuse(f"cannot be opened ({error.strerror})") from error
-        return self._lines()
-
-    def _lines(self) -> Iterator[str]:
-        try:
-            for line in self._file:
-                self._place.line += 1
-                if "\0" in line:
-                    raise self._place.refuse("holds a NUL byte; the file is damaged or not text")
-                yield line
-        except UnicodeError as error:
-            self._place.line += 1
-            byte = f" (byte {error.object[error.start]:#04x})" if isinstance(error, UnicodeDecodeError) else ""
-            name = "UTF-8" if self._encoding == "utf-8-sig" else self._encoding
-            sentence = (
-                f"is not {name} at or after this line{byte}; save it as UTF-8, or name its encoding in the map, which "
-                "`toolpoint thermal train --map-out map.yaml` proposes"
-            )
-            raise EncodingError(str(self._place.refuse(sentence))) from error
-        except OSError as error:
-            raise self._place.refuse(f"cannot be read ({error.strerror})") from error
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
-
-
 def write_recording(path: Path, metadata: Mapping[str, object], columns: Mapping[str, tuple[FloatArray, int]]) -> None:
     """Write a recording in the form that `read_recording` reads, in one step; raises OSError.
 
@@ -249,72 +155,8 @@ def _quoted(name: str) -> str:
     return '"' + name.replace('"', '""') + '"' if any(mark in name for mark in ',"') else name
 
 
-def _header(place: _Place, lines: Iterator[str]) -> tuple[list[str], str]:
-    line = next(lines, "")
-    while line.startswith(METADATA_MARK) or line.lower().startswith(SEPARATOR_LINE):
-        line = next(lines, "")
-    if not line.strip():
-        raise place.refuse("has no header row with the names of its columns")
-    delimiter = max(DELIMITERS, key=line.count)
-    try:
-        names = [name.strip() for name in next(csv.reader([line], delimiter=delimiter))]
-    except csv.Error as error:
-        raise place.refuse(f"is not CSV ({error})") from error
-    if len(names) > MAX_FIELDS:
-        raise place.refuse(f"has {len(names)} columns; this is not a recording")
-    if twice := sorted({name for name in names if name and names.count(name) > 1}):
-        raise place.refuse(
-            f"{', '.join(map(repr, twice))} is the name of several columns; give each a name of its own. Where the "
-            f"next row holds the names, take this one out, or begin it with {METADATA_MARK}"
-        )
-    if all(_is_number(name) for name in names if name):
-        raise place.refuse("begins with numbers; the first row must hold the names of the columns")
-    return names, delimiter
-
-
-def _require_names(place: _Place, header: list[str], lines: Iterator[str]) -> None:
-    """Refuse a first line that cannot be the header, naming the line that seems to be it."""
-    if len([name for name in header if name]) >= FEWEST_COLUMNS:
-        return
-    first, text = place.line, next((name for name in header if name), "")
-    counts = [
-        len([field for field in line.split(max(DELIMITERS, key=line.count)) if field.strip()])
-        for line in islice(lines, MOST_BEFORE_HEADER)
-    ]
-    if max(counts, default=0) >= FEWEST_COLUMNS:
-        found, place.line = first + 1 + counts.index(max(counts)), first
-        raise place.refuse(
-            f"{text[:40]!r} does not look like the names of the columns; where line {found} holds them, take out "
-            f"the lines before it, or begin each with {METADATA_MARK}"
-        )
-
-
-def second_header(header: Sequence[str], row: Sequence[str]) -> str | None:
-    """Return what to say where a row of texts names columns that have no name in the header, else None."""
-    named = [(i, text) for i, text in enumerate(row[: len(header)], 1) if text.strip() and not header[i - 1]]
-    if not named:
-        return None
-    column, text = named[0]
-    return (
-        f"{text.strip()[:40]!r} stands here in column {column}, which has no name in the row before: where this row "
-        f"holds the names, take out the row before it, or begin that with {METADATA_MARK}; else give the column a name"
-    )
-
-
-def _encoding_hint(header: list[str]) -> str:
-    """Return what to say where names look like UTF-8 that was read as another encoding, else ''."""
-    try:
-        meant = [name.encode("cp1252").decode("utf-8") for name in header]
-    except UnicodeError:
-        return ""
-    if meant == header:
-        return ""
-    named = ", ".join(name for name, read in zip(meant, header, strict=True) if name != read)
-    return f"; the file seems to be UTF-8 ({named}): say encoding: utf-8 in the map"
-
-
 def _require_row_of_units(
-    place: _Place, line: str, header: list[str], delimiter: str, recording_map: RecordingMap
+    place: Place, line: str, header: list[str], delimiter: str, recording_map: RecordingMap
 ) -> None:
     """Refuse a row of units that contradicts the map."""
     try:
@@ -324,14 +166,6 @@ def _require_row_of_units(
         require_read_units(recording_map, resolve_columns(recording_map, header), header, texts)
     except (ColumnError, csv.Error) as error:
         raise place.refuse(str(error)) from error
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -344,7 +178,7 @@ class _Form:
     recording_map: RecordingMap
 
 
-def _rows(place: _Place, lines: Iterator[str], form: _Form) -> tuple[FloatArray, FloatArray]:
+def _rows(place: Place, lines: Iterator[str], form: _Form) -> tuple[FloatArray, FloatArray]:
     """Return times from the first row [s] and the table of speed, temperatures, displacements."""
     columns, header = form.columns, form.header
     speed = [] if columns.speed is None else [columns.speed]
@@ -388,7 +222,7 @@ def _rows(place: _Place, lines: Iterator[str], form: _Form) -> tuple[FloatArray,
     return time_s - time_s[0], np.array(table)
 
 
-def _require_seconds(place: _Place, times: list[float], form: _Form) -> None:
+def _require_seconds(place: Place, times: list[float], form: _Form) -> None:
     """Refuse dates as spreadsheets count them that are taken for seconds: hours of them would last a second."""
     of_text = form.recording_map.time_format is not None or form.recording_map.time_unit != "s"
     if not of_text and are_days(times):
@@ -412,7 +246,7 @@ def _disorder(times: list[float], *, local: bool) -> str:
     return "sort the rows, and split the file where the logger was restarted"
 
 
-def _time(place: _Place, form: _Form, fields: list[str], read_time: TimeReader) -> float:
+def _time(place: Place, form: _Form, fields: list[str], read_time: TimeReader) -> float:
     columns = form.columns
     texts = [fields[columns.time].strip()] if columns.date is None else [fields[columns.date].strip()]
     texts += [] if columns.date is None else [fields[columns.time].strip()]
@@ -432,7 +266,7 @@ def _time(place: _Place, form: _Form, fields: list[str], read_time: TimeReader) 
         if (
             place.line == FIRST_ROW
             and not form.recording_map.unit_row
-            and not any(_is_number(text.replace(",", ".")) for text in fields)
+            and not any(is_number(text.replace(",", ".")) for text in fields)
         ):
             sentence += "; where this row holds units, say unit_row: true in the map"
         raise place.refuse(f"{text!r} is not a time {sentence}", column)
@@ -440,7 +274,7 @@ def _time(place: _Place, form: _Form, fields: list[str], read_time: TimeReader) 
 
 
 def _numbers(
-    place: _Place, header: list[str], fields: list[str], wanted: list[int], decimal: str | None, missing: frozenset[str]
+    place: Place, header: list[str], fields: list[str], wanted: list[int], decimal: str | None, missing: frozenset[str]
 ) -> FloatArray:
     try:
         numbers = np.array([float(fields[i]) for i in wanted])
@@ -452,7 +286,7 @@ def _numbers(
     return np.array([math.nan if text in missing else _number(place, column, text, decimal) for column, text in texts])
 
 
-def _number(place: _Place, column: str, text: str, decimal: str | None) -> float:
+def _number(place: Place, column: str, text: str, decimal: str | None) -> float:
     """Return a field as a number; `decimal` is the mark that it may have, None: either."""
     try:
         if decimal == "," and "." in text:

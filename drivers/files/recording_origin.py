@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from config.recordings.recording_map import RecordingMap, resolve_columns, usual_map
-from drivers.files.recording_csv import METADATA_MARK, read_beginning
+from drivers.files.recording_lines import METADATA_MARK, read_beginning
 from drivers.files.recording_time import time_reader
 
 DAY_S = 86400.0

@@ -11,7 +11,8 @@ from thermal_runs import run
 
 from config.recordings.recording_map import RecordingMap, load_recording_map
 from daemon.cli import main
-from drivers.files.recording_csv import read_header, read_recording, write_recording
+from drivers.files.recording_csv import read_recording, write_recording
+from drivers.files.recording_lines import read_header
 from models.thermal.family import ThermalModel, model_from_json
 
 NAMES = ("Temp Spindel [°C]", "Temp Bett (°C)", "Temp Raum [°C]", "Temp Motor [°C]")

@@ -7,10 +7,8 @@ import pytest
 
 from config.recordings.recording_map import RecordingMap, load_recording_map, usual_map
 from config.schema.base import ConfigurationError
-from drivers.files.recording_csv import (
-    RecordingFileError,
-    read_recording,
-)
+from drivers.files.recording_csv import read_recording
+from drivers.files.recording_lines import RecordingFileError
 
 MAP = RecordingMap(time="t", speed="rpm", temperatures=["t*"], displacements=["c*"])
 GOOD = "t,rpm,c1,t1,t2\n0,0,0.5,20,21\n15,1250,0.75,20.5,21.25\n"

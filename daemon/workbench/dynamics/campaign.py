@@ -17,7 +17,9 @@ from daemon.workbench.dynamics.other_units import refuse_levels
 from daemon.workbench.dynamics.responses import properties
 from drivers.files.frf_measurement import read_measurements
 from drivers.files.impact_index import ImpactIndexError, first_time, read_index
-from drivers.files.recording_csv import SECONDS, read_header, read_recording
+from drivers.files.recording_csv import read_recording
+from drivers.files.recording_lines import read_header
+from drivers.files.recording_time import SECONDS
 from models.dynamics.beam import ComplexArray
 from models.dynamics.bearings import CondensedShaft, parameters_from_properties, parameters_of
 from models.dynamics.identification import kept_parameters

@@ -14,7 +14,7 @@ from typing import TypeVar
 from config.recordings.machine_map import MachineFiles, sensors_of
 from config.recordings.recording_map import ColumnError, RecordingMap, load_recording_map, resolve_columns, usual_map
 from daemon.workbench.thermal.reading import read_alike
-from drivers.files.recording_csv import read_beginning
+from drivers.files.recording_lines import read_beginning
 from models.errors import RefusedInputError
 from models.recordings.dataset import DatasetError, Recording
 from models.recordings.slopes import SLOPE_SUFFIX

@@ -9,7 +9,8 @@ import numpy as np
 
 from config.recordings.map_proposal import JAPANESE, MapProposal, propose_map
 from config.recordings.recording_map import ColumnError, RecordingMap, matching_names, units_and_names, usual_map
-from drivers.files.recording_csv import EncodingError, read_beginning, read_recording
+from drivers.files.recording_csv import read_recording
+from drivers.files.recording_lines import EncodingError, read_beginning
 from models.recordings.dataset import DatasetError, Recording
 from models.thermal.training.inputs import with_sensors
 
