@@ -2,6 +2,7 @@
 
 import difflib
 import json
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,7 +13,7 @@ from config.knobs import knob_at, section_at
 from config.schema import Configuration
 from config.schema.base import FORMS, ConfigurationError, KeyProblems, Problem, Section
 from config.schema.cnc import CHECK_MISSING
-from config.sensor_ranges import expand_sensor_ranges
+from config.schema.temperatures import LONGEST_CHAIN, expand_ranges
 from config.yaml_document import RENAMED, Fault, KeyPath, Position, YamlDocument, move_renamed_keys, read_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -20,6 +21,8 @@ Model = TypeVar("Model", bound=BaseModel)
 MAX_FILE_BYTES = 1 << 20
 """More than any description needs; a file of this size takes two seconds to read."""
 
+_SENSORS: KeyPath = ("temperatures", "sensors")
+_RANGE = re.compile(r"[0-9]+-[0-9]+")
 _TYPES = {
     "string_type": "text",
     "path_type": "text that names a file",
@@ -73,7 +76,7 @@ def _parsed(text: str, model: type[Model], file: str) -> tuple[Model, tuple[Prob
     document = read_yaml(text)
     renamed = move_renamed_keys(document, RENAMED if issubclass(model, Configuration) else {})
     if issubclass(model, Configuration):
-        expand_sensor_ranges(document)
+        _expand_sensor_ranges(document)
     problems = [_problem(file, fault.position, fault.path, fault.sentence) for fault in document.faults]
     if not problems and document.value is None:
         problems.append(_problem(file, (1, 1), (), f"the file is empty; {_beginning(model)}"))
@@ -296,3 +299,46 @@ __all__ = [
     "parse_yaml_model",
     "with_absolute_paths",
 ]
+
+
+def _expand_sensor_ranges(document: YamlDocument) -> None:
+    """Put a sensor for each number in the place of one with a range; each keeps the position of where it is written."""
+    section = document.value.get(_SENSORS[0]) if isinstance(document.value, dict) else None
+    entries = section.get(_SENSORS[1]) if isinstance(section, dict) else None
+    if not isinstance(section, dict) or not isinstance(entries, list):
+        return
+    sensors: list[Any] = []
+    written_at: list[int] = []
+    for index, entry in enumerate(entries):
+        expanded = _expanded(document, index, entry)
+        sensors += expanded
+        written_at += [index] * len(expanded)
+    if len(sensors) > len(entries):
+        section[_SENSORS[1]] = sensors
+        for places in (document.keys, document.values):
+            _renumber(places, written_at)
+
+
+def _expanded(document: YamlDocument, index: int, entry: Any) -> list[Any]:
+    given = entry.get("id") if isinstance(entry, dict) else None
+    if not isinstance(given, str) or not _RANGE.fullmatch(given):
+        return [entry]
+    try:
+        numbers = expand_ranges([given])
+        if len(numbers) > LONGEST_CHAIN:
+            raise ValueError(f"the range {given} holds more than the {LONGEST_CHAIN} sensors of a line")
+        return [{**entry, "id": number} for number in numbers]
+    except ValueError as error:
+        path = (*_SENSORS, index, "id")
+        document.faults.append(Fault(document.values[path], path, str(error)))
+        return [entry]
+
+
+def _renumber(places: dict[KeyPath, Position], written_at: list[int]) -> None:
+    depth = len(_SENSORS)
+    old: dict[Any, dict[KeyPath, Position]] = {}
+    for path in [path for path in places if path[:depth] == _SENSORS and len(path) > depth]:
+        old.setdefault(path[depth], {})[path[depth + 1 :]] = places.pop(path)
+    for index, origin in enumerate(written_at):
+        for rest, position in old.get(origin, {}).items():
+            places[(*_SENSORS, index, *rest)] = position

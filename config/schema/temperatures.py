@@ -15,7 +15,7 @@ SensorNumber = Annotated[
     Field(ge=1),
     WithJsonSchema({"anyOf": [{"type": "integer", "minimum": 1}, {"type": "string", "pattern": RANGE_PATTERN}]}),
 ]
-"""The loader puts a sensor for each number in the place of a range (config/sensor_ranges.py)."""
+"""The loader puts a sensor for each number in the place of a range (config/loader.py)."""
 ChainEntry = Annotated[int, Field(ge=1)] | Annotated[str, Field(pattern=RANGE_PATTERN)]
 
 LONGEST_RANGE = 100_000
