@@ -123,9 +123,9 @@ class Cnc(Protocol):
     async def write_macros(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
         """Write groups of (macro, value), each group only after the previous one was accepted.
 
-        Raises LinkError on a lost link; NotSentError where `refuse_forbidden` does, before anything is sent; another
-        FatalDriverError (naming the macro) when the control refuses a value, after what came before it, and perhaps
-        what came with it, has arrived. Never retries.
+        Raises LinkError on a lost link, and where the control cannot take a value now; NotSentError where
+        `refuse_forbidden` does, before anything is sent; another FatalDriverError (naming the macro) when the control
+        refuses a value, after what came before it, and perhaps what came with it, has arrived. Never retries.
         """
         ...
 

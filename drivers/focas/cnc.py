@@ -19,6 +19,7 @@ from drivers.contract import (
     MODES,
     RUNS,
     SIMULATED_CNC_IDENTITY,
+    DriverError,
     FatalDriverError,
     LinkError,
 )
@@ -36,6 +37,7 @@ from drivers.focas.codec import (
 from drivers.focas.link import FocasLink
 from drivers.focas.requests import (
     ADDITIONAL_OFFSET,
+    AGAIN,
     NO_FUNCTION,
     NO_OPTION,
     WORK_OFFSET,
@@ -169,7 +171,7 @@ class FocasCnc(LinkedCnc):
         return {number: values[number] for number in macros}
 
     async def _write(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
-        refused: FatalDriverError | None = None
+        refused: DriverError | None = None
         for group in groups:
             refused = await self._write_group(group)
             if refused is not None:
@@ -178,7 +180,7 @@ class FocasCnc(LinkedCnc):
         if refused is not None:
             raise refused
 
-    async def _write_group(self, group: Sequence[tuple[int, float]]) -> FatalDriverError | None:
+    async def _write_group(self, group: Sequence[tuple[int, float]]) -> DriverError | None:
         values = dict(group)
         for run, ask in write_asks(group, doubles=self._doubles):
             (answer,) = await self._exchange([ask])
@@ -187,7 +189,8 @@ class FocasCnc(LinkedCnc):
                 return await self._write_group([(number, values[number]) for number in values if number >= run.start])
             if answer.error:
                 written = ", ".join(f"#{number} = {values[number]!r}" for number in run)
-                return FatalDriverError(f"the CNC refused macro variable {written}: {refusal(answer.error)}")
+                text = f"the CNC refused macro variable {written}: {refusal(answer.error)}"
+                return LinkError(text) if answer.error in AGAIN else FatalDriverError(text)
         return None
 
     async def _read(self, asks: Sequence[Ask]) -> list[Answer]:

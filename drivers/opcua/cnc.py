@@ -62,6 +62,21 @@ REFUSALS = {
 }
 """What a server answers when trying again cannot help."""
 
+AWAY = frozenset(
+    {
+        StatusCodes.BadCommunicationError,
+        StatusCodes.BadDeviceFailure,
+        StatusCodes.BadNoCommunication,
+        StatusCodes.BadNotConnected,
+        StatusCodes.BadOutOfService,
+        StatusCodes.BadResourceUnavailable,
+        StatusCodes.BadServerHalted,
+        StatusCodes.BadTimeout,
+        StatusCodes.BadWaitingForInitialData,
+    }
+)
+"""What a gateway says of a written value while it does not reach the control: a lost link, no refusal."""
+
 
 def node_map(config: CncConfig) -> NodeMap:
     """Return the preset's map with the identifiers that the configuration gives."""
@@ -243,9 +258,8 @@ class OpcUaCnc:
                 raise LinkError(f"{self._endpoint} answered {len(statuses)} statuses to {len(group)} writes")
             for (number, value), code in zip(group, statuses, strict=True):
                 if code != 0 and not (status := ua.StatusCode(ua.UInt32(code))).is_good():
-                    raise FatalDriverError(
-                        f"the CNC refused macro variable #{number} = {value!r}: {status.name}, {status.doc}"
-                    )
+                    text = f"the CNC refused macro variable #{number} = {value!r}: {status.name}, {status.doc}"
+                    raise LinkError(text) if code in AWAY else FatalDriverError(text)
 
     def _schedule_renewal(self, client: Client) -> None:
         lifetime_s = client.secure_channel_timeout / 1000

@@ -111,6 +111,17 @@ async def test_a_refused_write_names_the_macros_and_the_remedy_and_changes_nothi
     await cnc.close()
 
 
+@pytest.mark.parametrize(("error", "cause"), [(-1, "it is busy"), (10, "its buffer is full")])
+async def test_a_control_that_is_busy_has_refused_nothing_for_good(control: Control, error: int, cause: str) -> None:
+    cnc = await control.connected()
+    for function in (Function.WRITE_MACRO, Function.WRITE_MACROS):
+        control.responder.refused_functions[function] = error
+    with pytest.raises(LinkError, match=rf"#500 = 1.0.*{cause}; try again"):
+        await cnc.write_macros(GROUPS)
+    assert control.nc.macros.written == []
+    await cnc.close()
+
+
 async def test_an_older_control_is_written_one_by_one(control: Control) -> None:
     control.responder.refused_functions[Function.WRITE_MACROS] = 1
     cnc = await control.connected()

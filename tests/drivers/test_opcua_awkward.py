@@ -16,7 +16,7 @@ from scripted_machine import NAMESPACE, ScriptedNc, cnc_config
 from config.schema.source_sections import OpcUaServer
 from daemon.checkup.node_map import look
 from drivers.clock import SystemClock
-from drivers.contract import LinkError
+from drivers.contract import FatalDriverError, LinkError
 from drivers.opcua import browsing
 from drivers.opcua.browsing import browse
 from drivers.opcua.cnc import OpcUaCnc
@@ -48,6 +48,8 @@ class Habits:
     refuses: str = ""
     """Children of a node of this identifier are not shown."""
     browsed: int = 0
+    written: int | None = None
+    """Status of every written value, of which none arrives."""
 
 
 HABITS = Habits()
@@ -69,6 +71,8 @@ async def read(session: Any, wanted: Any) -> Any:
 async def write(session: Any, wanted: Any) -> Any:
     if session.external:
         too_many(wanted.NodesToWrite)
+        if HABITS.written is not None:
+            return [ua.StatusCode(ua.UInt32(HABITS.written)) for _ in wanted.NodesToWrite]
     return await HELD["write"](session, wanted)
 
 
@@ -118,6 +122,22 @@ async def test_a_control_that_takes_few_nodes_at_once_is_read_and_written_in_par
     sample = await cnc.read([500, *values])
     assert sample.macros == {500: 1.0} | values
     assert (sample.program, sample.tool_number, await cnc.read_macros(list(values))) == (1000, 3, values)
+    await cnc.close()
+
+
+@on_wires
+@pytest.mark.parametrize(
+    ("status", "error"),
+    [("BadNotConnected", LinkError), ("BadDeviceFailure", LinkError), ("BadTypeMismatch", FatalDriverError)],
+)
+async def test_a_gateway_that_does_not_reach_the_control_has_refused_nothing(
+    server: SimulatedCncServer, habits: Habits, status: str, error: type[Exception]
+) -> None:
+    cnc = OpcUaCnc(cnc_config(server.endpoint), SystemClock())
+    await cnc.connect()
+    habits.written = getattr(ua.StatusCodes, status)
+    with pytest.raises(error, match=rf"refused macro variable #500 = 1\.0: {status}"):
+        await cnc.write_macros([[(500, 1.0)]])
     await cnc.close()
 
 
