@@ -25,11 +25,11 @@ def readings_in(content: Any, fields: Mapping[int | str, str]) -> dict[int | str
     return found
 
 
-def number_of(value: Any) -> float | NoReading:
-    """Return a JSON value as a number; text and truth values are none."""
+def number_of(value: Any, key: str = "field") -> float | NoReading:
+    """Return a JSON value as a number; text and truth values are none. `key` of the configuration says where it is."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         try:
             return float(value)
         except OverflowError:
             return math.inf
-    return NoReading(reason=Reason.UNREADABLE, why=f"holds no number but {str(value)[:QUOTED]!r}: correct `field`")
+    return NoReading(reason=Reason.UNREADABLE, why=f"holds no number but {str(value)[:QUOTED]!r}: correct `{key}`")

@@ -195,4 +195,4 @@ def reading_of(answer: ua.DataValue, node: str) -> float | NoReading:
     value = None if answer.Value is None else answer.Value.Value
     if value is None:
         return NoReading(reason=Reason.NOT_RECEIVED, why=f"has a tag {node!r} without a value")
-    return number_of(value)
+    return number_of(value, "node")
