@@ -57,10 +57,14 @@ log = logging.getLogger(__name__)
 OPEN_BODY = struct.pack(">H", 2)
 """The socket that carries data; the vendor's library opens one more, which nothing needs."""
 MOST_BLOCKS = 28
-"""Blocks of one request besides its tag [to verify]; more are split."""
+"""Blocks of one request besides its tag [to verify]; more are split, and fewer are asked where a control refuses."""
 CLOCK_ASK = Ask(Function.READ_MACRO, (CLOCK, CLOCK))
 SIMULATED_SYSTEM = "TP-SM-TOOL-PNT0"
 """What the simulated control says of itself."""
+
+
+class RefusedRequestError(FocasFormatError):
+    """A whole request was refused, as one with too many blocks is."""
 
 
 class FocasCnc(LinkedCnc):
@@ -76,6 +80,7 @@ class FocasCnc(LinkedCnc):
         self._link: FocasLink | None = None
         self._state: StateRequest | None = None
         self._asked = 0
+        self._most_blocks = MOST_BLOCKS
         self._clock_ms = 0.0
         self._power_on_count: int | None = None
         self._doubles = True
@@ -196,13 +201,18 @@ class FocasCnc(LinkedCnc):
     async def _read(self, asks: Sequence[Ask]) -> list[Answer]:
         """Return the answers to blocks that change nothing; raises FocasFormatError for another request's."""
         answers: list[Answer] = []
-        for first in range(0, max(len(asks), 1), MOST_BLOCKS):
+        while True:
             self._asked += 1
             bits = (self._asked >> bit & 1 for bit in range(self.tag_bits))
             tag = [Ask(Function.SYSTEM if bit else Function.STATUS) for bit in bits]
-            clock, *found = (await self._exchange([*tag, CLOCK_ASK, *asks[first : first + MOST_BLOCKS]]))[
-                self.tag_bits :
-            ]
+            part = asks[len(answers) : len(answers) + self._most_blocks]
+            try:
+                clock, *found = (await self._exchange([*tag, CLOCK_ASK, *part]))[self.tag_bits :]
+            except RefusedRequestError:
+                if len(part) < 2:
+                    raise
+                self._most_blocks = len(part) // 2
+                continue
             clock_ms = macro_values(macro_asks([CLOCK]), [clock])[CLOCK]
             if clock_ms is None or clock_ms < self._clock_ms:
                 raise FocasFormatError(
@@ -211,7 +221,8 @@ class FocasCnc(LinkedCnc):
                 )
             self._clock_ms = clock_ms
             answers += found
-        return answers
+            if len(answers) >= len(asks):
+                return answers
 
     async def _exchange(self, asks: Sequence[Ask]) -> list[Answer]:
         link = self._link
@@ -220,5 +231,6 @@ class FocasCnc(LinkedCnc):
         request = Frame(Kind.DATA, Direction.REQUEST, encode_asks(asks, self._focas.path))
         frame = await link.exchange(request)
         if (frame.kind, frame.direction) != (Kind.DATA, Direction.ANSWER):
-            raise FocasFormatError(f"a request was answered with {frame.kind:02X}{frame.direction:02X}")
+            wrong = RefusedRequestError if frame.direction == Direction.REFUSED else FocasFormatError
+            raise wrong(f"a request was answered with {frame.kind:02X}{frame.direction:02X}")
         return parse_answers(frame.body, asks, self._focas.path)

@@ -66,6 +66,20 @@ async def test_a_poll_gives_what_the_control_shows(control: Control) -> None:
     await cnc.close()
 
 
+@pytest.mark.parametrize("most", [5, 12])
+async def test_a_control_that_takes_few_blocks_at_once_is_asked_in_parts(control: Control, most: int) -> None:
+    control.responder.most_blocks = most
+    cnc = await control.connected()
+    await cnc.write_macros(GROUPS)
+    sample = await cnc.read([number for group in GROUPS for number, _ in group])
+    assert sample.macros == {number: value for group in GROUPS for number, value in group}
+    assert (sample.program, sample.sequence_number, sample.tool_number) == (1000, 20, 3)
+    control.responder.most_blocks = 4
+    with pytest.raises(LinkError, match="a request was answered with 2103"):
+        await cnc.read([])
+    await cnc.close()
+
+
 async def test_a_power_on_ends_the_link_and_is_another_number(control: Control) -> None:
     cnc = await control.connected()
     before = await cnc.read([])

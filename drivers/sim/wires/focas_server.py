@@ -45,6 +45,8 @@ class FocasResponder:
     """Answers one frame after the other for one NC; no I/O, so that it can be tried with any bytes."""
 
     def __init__(self, nc: SimulatedNc, tool_macro: int, motor_temperature_diagnosis: int | None = None) -> None:
+        self.most_blocks = 100
+        """A request with more is refused whole."""
         self._nc = nc
         self._tool_macro = tool_macro
         self._diagnosis = motor_temperature_diagnosis
@@ -210,5 +212,7 @@ class _Session(asyncio.Protocol):
             self._open = False
             return Frame(Kind.CLOSE, Direction.ANSWER)
         if frame.kind == Kind.DATA and self._open:
+            if len(parse_asks(frame.body)) > self._server.responder.most_blocks:
+                return Frame(Kind.DATA, Direction.REFUSED)
             return Frame(Kind.DATA, Direction.ANSWER, self._server.responder.answer(frame.body))
         raise FocasFormatError(f"{SYNC.hex()}: frame {frame.kind:02X} is not known, or the session is not open")
