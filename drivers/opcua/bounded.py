@@ -21,6 +21,7 @@ LEAST_CHUNK = 1024
 LONGEST_MESSAGE = 4 << 20
 """All that a server tells of its variables at once fits [byte]."""
 MOST_CHUNKS = 1024
+NAMELESS = ua.EndpointDescription()
 SIZE = struct.Struct("<4xI")
 MESSAGE: Any = ua.Message
 """Its constructor has no types."""
@@ -149,5 +150,14 @@ def bounded_client(endpoint: str, timeout_s: float) -> Client:
         protocol.is_session_closing = low._is_session_closing
         return protocol
 
-    low._make_protocol = make_protocol
+    create_session = low.create_session
+
+    async def create_whole_session(asked: ua.CreateSessionParameters) -> Any:
+        """Let a server that does not say at a session what it is say it when it is asked for its endpoints."""
+        made = await create_session(asked)
+        if not all(each.Server.ApplicationUri for each in made.ServerEndpoints or (NAMELESS,)):
+            made.ServerEndpoints = await low.get_endpoints(ua.GetEndpointsParameters(EndpointUrl=asked.EndpointUrl))
+        return made
+
+    low._make_protocol, low.create_session = make_protocol, create_whole_session
     return client

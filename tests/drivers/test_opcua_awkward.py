@@ -1,6 +1,7 @@
 """OPC UA servers that are right and unlike others: small limits, slow answers, folders that are not for everybody."""
 
 import asyncio
+import copy
 import struct
 from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from scripted_machine import NAMESPACE, ScriptedNc, cnc_config
 from config.schema.source_sections import OpcUaServer
 from daemon.checkup.node_map import look
 from drivers.clock import SystemClock
-from drivers.contract import FatalDriverError, LinkError
+from drivers.contract import SIMULATED_CNC_IDENTITY, FatalDriverError, LinkError
 from drivers.opcua import browsing
 from drivers.opcua.browsing import browse
 from drivers.opcua.cnc import OpcUaCnc
@@ -48,12 +49,14 @@ class Habits:
     refuses: str = ""
     """Children of a node of this identifier are not shown."""
     browsed: int = 0
+    endpoints: Callable[[Any], Any] | None = None
+    """Endpoints that it tells of -> those in its answer to a new session."""
     written: int | None = None
     """Status of every written value, of which none arrives."""
 
 
 HABITS = Habits()
-HELD: dict[str, Any] = {name: getattr(InternalSession, name) for name in ("read", "write", "browse")}
+HELD: dict[str, Any] = {name: getattr(InternalSession, name) for name in ("read", "write", "browse", "create_session")}
 
 
 async def read(session: Any, wanted: Any) -> Any:
@@ -83,6 +86,19 @@ async def browse_(session: Any, wanted: Any) -> Any:
     return await HELD["browse"](session, wanted)
 
 
+async def create(session: Any, *asked: Any, **more: Any) -> Any:
+    made = await HELD["create_session"](session, *asked, **more)
+    if HABITS.endpoints is not None:
+        made.ServerEndpoints = HABITS.endpoints(copy.deepcopy(made.ServerEndpoints))
+    return made
+
+
+def nameless(endpoints: Any) -> Any:
+    for each in endpoints:
+        each.Server = ua.ApplicationDescription()
+    return endpoints
+
+
 def too_many(nodes: list[Any]) -> None:
     if len(nodes) > HABITS.takes:
         raise ServiceError(ua.StatusCodes.BadTooManyOperations)
@@ -91,7 +107,7 @@ def too_many(nodes: list[Any]) -> None:
 @pytest.fixture(autouse=True)
 def habits(monkeypatch: pytest.MonkeyPatch) -> Iterator[Habits]:
     HABITS.__init__()  # type: ignore[misc]
-    for name, function in (("read", read), ("write", write), ("browse", browse_)):
+    for name, function in (("read", read), ("write", write), ("browse", browse_), ("create_session", create)):
         monkeypatch.setattr(InternalSession, name, function)
     yield HABITS
 
@@ -107,6 +123,21 @@ async def server() -> AsyncIterator[SimulatedCncServer]:
 def session_at(server: SimulatedCncServer, timeout_s: float = 10.0) -> TagSession:
     place = OpcUaServer(endpoint=server.endpoint, namespace_uri="-", security=None, timeout_s=timeout_s)
     return TagSession(place, "source Gateway: server x")
+
+
+@on_wires
+@pytest.mark.parametrize("told", [nameless, lambda _: [], lambda _: None], ids=["nameless", "none", "null"])
+async def test_a_server_that_does_not_say_at_a_session_what_it_is_is_asked(
+    server: SimulatedCncServer, habits: Habits, told: Callable[[Any], Any]
+) -> None:
+    """As OPC UA 1.02 recommends, and as some do that are reached under another name than their own."""
+    habits.endpoints = told
+    cnc, session = OpcUaCnc(cnc_config(server.endpoint), SystemClock()), session_at(server)
+    await cnc.connect()
+    await session.connect()
+    assert cnc.identity == SIMULATED_CNC_IDENTITY and NAMESPACE in session.namespaces
+    await cnc.close()
+    await session.close()
 
 
 @on_wires
