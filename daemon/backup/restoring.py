@@ -10,6 +10,7 @@ take up again, the last block is not put back, and the daemon starts in FAULT un
 compared and acknowledged.
 """
 
+import dataclasses
 import filecmp
 import itertools
 import json
@@ -30,7 +31,7 @@ from config.records.commissioning import CommissioningError, load_commissioning
 from config.records.release_record import ReleaseRecordError, load_release_record
 from config.schema import Configuration
 from config.schema.service import SignaturesConfig
-from config.signing import TrustedKeys
+from config.signing import TrustedKeys, signature_beside
 from daemon.backup.archive import MIB, Archive
 from daemon.backup.manifest import (
     COMMISSIONING_NAME,
@@ -44,7 +45,7 @@ from daemon.backup.manifest import (
 from daemon.backup.places import Places, agreed_places, installed_places, targets
 from daemon.history.database import HistoryError, connect_reader, connect_writer
 from daemon.history.store_lock import WriterLock
-from daemon.state_store.documents import OutputFault
+from daemon.state_store.documents import OutputFault, SpindleSpeedSwitch
 from daemon.state_store.store import KEYS, document_json
 
 BESIDE_STORE = ("-wal", "-shm")
@@ -59,6 +60,8 @@ class Restored:
     placed: tuple[Path, ...]
     kept: tuple[Path, ...]
     """What was there before, under its new name."""
+    left: tuple[Path, ...] = ()
+    """A commissioning record in its place that is not older than that of the back-up."""
 
 
 def read_manifest(archive_path: Path) -> Manifest:
@@ -101,11 +104,14 @@ def restore(
             archive.prove()
             with _stopped(store), _private_folder(store.parent) as folder:
                 archive.extract(folder)
-                _check_commissioning(folder)
+                left = _commissioned_since(folder, places)
                 _check_releases(folder, manifest)
                 disarm(folder / STORE_NAME, manifest, person)
                 pieces = list(targets(places, None if keep_configuration else config_path))
-                return _put_in_place(folder, manifest, pieces, store, replace=replace)
+                pieces = [(name, path) for name, path in pieces if path not in left]
+                return dataclasses.replace(
+                    _put_in_place(folder, manifest, pieces, store, replace=replace), left=left[:1]
+                )
     except OSError as error:
         raise BackupError(f"the back-up cannot be restored: {error}") from error
 
@@ -195,10 +201,11 @@ def disarm(store: Path, manifest: Manifest, person: str) -> None:
             connection.execute("BEGIN IMMEDIATE")
             connection.execute("DELETE FROM state")
             connection.execute("UPDATE generation SET text = lower(hex(randomblob(16)))")  # sinks begin again
-            fault = json.dumps(document_json(OutputFault(reasons=(said,))))
-            connection.execute(
-                "INSERT INTO state (key, json, utc_ms) VALUES (?, ?, ?)", (KEYS[OutputFault], fault, now_ms)
-            )
+            for document in (OutputFault(reasons=(said,)), SpindleSpeedSwitch(off_by="the restoration of a back-up")):
+                connection.execute(
+                    "INSERT INTO state (key, json, utc_ms) VALUES (?, ?, ?)",
+                    (KEYS[type(document)], json.dumps(document_json(document)), now_ms),
+                )
             connection.execute(
                 "INSERT INTO events (utc_ms, monotonic_ms, kind, text, person) VALUES (?, 0, 'restored', ?, ?)",
                 (now_ms, said, person),
@@ -217,13 +224,25 @@ def _refuse_foreign_schema(connection: sqlite3.Connection) -> None:
         raise BackupError(f"the store in the back-up holds a {ascii(found[0])[1:-1]}, which none has; take another one")
 
 
-def _check_commissioning(folder: Path) -> None:
+def _commissioned_since(folder: Path, places: Places) -> tuple[Path, ...]:
+    """Return the record in its place and its signature, where the machine may have been commissioned since the back-up.
+
+    What a person has seen last counts: signs and scales of before would double an error.
+    """
+    there = places.commissioning_file
     if not (path := folder / COMMISSIONING_NAME).exists():
-        return
+        return ()
     try:
-        load_commissioning(path)
+        archived = load_commissioning(path)
     except CommissioningError as error:
         raise BackupError(f"the commissioning record in the back-up cannot be read: {error}") from error
+    try:
+        newer = there is not None and load_commissioning(there).date >= archived.date
+    except CommissioningError:
+        return ()
+    if there is None or not newer or _is_there_already(path, there):
+        return ()
+    return there, signature_beside(there)
 
 
 def _check_releases(folder: Path, manifest: Manifest) -> None:

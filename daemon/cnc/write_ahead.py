@@ -16,6 +16,7 @@ from pathlib import Path
 
 import structlog
 
+from daemon.history.intake import Commit
 from daemon.history.writer import HistoryWriter
 
 log = structlog.get_logger(__name__)
@@ -37,6 +38,7 @@ class WriteAheadRecord:
         """Length of the file, as far as it is ours."""
         self._identity = (0, 0)
         """Device and number of the open file."""
+        self._caught_up: Commit | None = None
         self._problem = ""
         content = self._content()
         self.behind = BEHIND in content
@@ -68,7 +70,13 @@ class WriteAheadRecord:
 
     def follow(self, history: HistoryWriter, *, begun: bool) -> None:
         """Keep whether the store lacks anything; what it lacks of the run before counts until the output has begun."""
-        behind = bool(history.problem) or (self.behind and bool(not begun or history.waiting))
+        behind = history.behind
+        if behind:
+            self._caught_up = None
+        elif self.behind:
+            if begun and self._caught_up is None:
+                self._caught_up = history.submit(lambda _connection: None)
+            behind = self._caught_up is None or not self._caught_up.done
         if behind is not self.behind:
             self.behind = behind
             self._write()

@@ -80,6 +80,8 @@ class Engine:
         self._layout_ids: LayoutIds = {}
         self.problem = ""
         """What keeps the store from being written, in words; empty when nothing does."""
+        self.attempted_s = float("inf")
+        """When the commit that is under way was begun; inf: none is."""
         self._retry_s = RETRY_FIRST_S
         self._not_before_s = float("-inf")
         self._opened = threading.Event()
@@ -119,7 +121,9 @@ class Engine:
             self._opened.set()
         while not self._intake.closed or len(self._intake):
             batch = self._intake.take(self._not_before_s)
+            self.attempted_s = time.monotonic()
             self._attempt(batch)
+            self.attempted_s = float("inf")
             if self._intake.closed and self.problem and not self._wait_for_retry():
                 break
         self._close()

@@ -2,6 +2,7 @@
 
 import json
 import sqlite3
+import time
 from collections import Counter
 from collections.abc import Callable, Generator, Sequence
 from functools import partial
@@ -43,6 +44,8 @@ SAMPLE_COMMIT_S = 10.0
 """Samples wait for a cycle's commit, but no longer than this; so does an intent that is kept outside the store, for
 the commit of its cycle or of its outcome: to tell the thread about it would hold the write up."""
 CLOSE_WITHIN_S = 10.0
+STUCK_S = 10.0
+"""A commit that has not returned after this may never [s of the wall clock]."""
 QUEUE_LIMIT = 50_000
 """Records that wait while the disk fails: some five hours, about 50 MB."""
 
@@ -145,6 +148,11 @@ class HistoryWriter:
     def problem(self) -> str:
         """What keeps the store from being written, in words; empty when nothing does."""
         return self._engine.problem
+
+    @property
+    def behind(self) -> bool:
+        """The store cannot be written, or its disk has not answered for long."""
+        return bool(self.problem) or time.monotonic() - self._engine.attempted_s > STUCK_S
 
     # --- measurements --------------------------------------------------------------------
 

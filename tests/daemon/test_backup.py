@@ -11,9 +11,11 @@ from typing import BinaryIO
 
 import pytest
 import yaml
+from control_rig import record_for
 from installation import Installation
 
 from config.loader import load_configuration
+from config.records.commissioning import CommissionedAxis
 from daemon.backup.making import make_backup, remove_old
 from daemon.backup.manifest import BackupError, last_block_beside
 from daemon.backup.places import Places
@@ -198,7 +200,8 @@ def test_an_empty_installation_gets_everything_but_the_will_to_move(installation
     assert str(model_file.readlink()) == "releases/0003/model.json"
     assert "ridge-1" in model_file.read_text(encoding="utf-8")
     state = state_of(store)
-    assert list(state) == ["fault"] and "compare the macro variables" in str(state["fault"])
+    assert sorted(state) == ["fault", "spindle_speed_off"] and "compare the macro variables" in str(state["fault"])
+    assert "restoration" in str(state["spindle_speed_off"]), "nor is a speed tuned that was switched off since"
     assert not last_block_beside(store).exists(), "what was being written then says nothing about now"
     with HistoryReader(store) as reader:
         events = reader.events(*EVER)
@@ -232,6 +235,22 @@ def test_nothing_is_overwritten_and_with_replace_everything_is_kept(installation
     with HistoryReader(kept["history.sqlite"]) as reader:
         assert reader.events(*EVER)[-1].text == "after the back-up"
         assert reader.get_state("wanted")["axes"] == {"y": True, "z": True}
+
+
+@pytest.mark.parametrize(("date", "stays"), [("2026-01-01", True), ("2026-03-01", True), ("2025-12-31", False)])
+def test_a_machine_that_was_commissioned_since_the_backup_keeps_its_record(installation, date, stays):
+    record, path = installation.folder / "etc/commissioning.json", installation.backup()
+    before = record.read_text(encoding="utf-8")
+    axes = dict.fromkeys("yz", CommissionedAxis(sign=-1, scale=1.0, written_um=10.0, measured_um=-10.0))
+    since = record_for(installation.configuration, axes=axes, date=date).model_dump_json()
+    record.write_text(since, encoding="utf-8")
+    record.with_name("commissioning.json.sig").write_bytes(b"of the new one")
+    done = restore(path, installation.config_path, person="anna", replace=True)
+    assert record.read_text(encoding="utf-8") == (since if stays else before)
+    assert done.left == ((record,) if stays else ())
+    assert any(kept.name.startswith("commissioning.json.before") for kept in done.kept) is not stays
+    if stays:
+        assert record.with_name("commissioning.json.sig").read_bytes() == b"of the new one"
 
 
 def test_a_running_daemon_is_not_restored_over(installation):

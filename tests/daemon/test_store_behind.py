@@ -2,6 +2,7 @@
 
 import asyncio
 import sqlite3
+import threading
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
@@ -136,12 +137,30 @@ async def test_a_store_that_has_got_everything_after_all_is_gone_on_with(bench: 
     async with following(bench) as rig:
         with unwritable(rig.history.path):
             await until_behind(rig)
-        await until(lambda: not rig.history.problem)
-        await rig.history.flushed()
-        rig.alive()
+        async with asyncio.timeout(FOREVER_S):
+            while rig.last_block.behind:  # some record or other waits at every moment
+                await rig.follow(0.0, -10.0, 1)
+                rig.alive()
+                assert rig.history.waiting
+                await asyncio.sleep(0.01)
     async with running(bench.rig()) as rig:
         await rig.follow(0.0, -10.0, 3)
         assert rig.state == "ACTIVE"
+
+
+async def test_a_disk_that_does_not_answer_leaves_the_store_behind_too(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = threading.Event()
+    async with following(bench) as rig:
+        monkeypatch.setattr(writer, "STUCK_S", 0.05)
+        rig.history.submit(lambda _connection: answers.wait(FOREVER_S))
+        rig.alive()
+        await until(lambda: rig.history.behind)
+        rig.alive()
+        assert rig.last_block.behind and WriteAheadRecord.beside(rig.history.path).behind
+        answers.set()
+        await until(lambda: not rig.history.behind)
 
 
 async def test_what_the_cnc_holds_and_no_record_explains_is_no_restart_to_go_on_from(bench: Bench) -> None:

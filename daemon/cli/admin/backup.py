@@ -120,5 +120,7 @@ def restore(
         say(f"restored {path}")
     for path in done.kept:
         say(f"kept     {path}")
+    for path in done.left:
+        say(f"left     {path}: the machine was commissioned since the back-up; move it away to restore that of then")
     say("put passwords and keys back, start the daemon, compare the macros, then `toolpoint acknowledge`")
     write_json(json_path, {"placed": [str(path) for path in done.placed], "kept": [str(path) for path in done.kept]})
