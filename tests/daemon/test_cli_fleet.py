@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner, Result
@@ -14,7 +15,9 @@ from sisters import few_sensors, write_configuration, write_sister
 from config.loader import parse_yaml_model
 from config.recordings.machine_map import MachineMap
 from daemon.cli import main
+from daemon.workbench.thermal.fleet_report import contradictions
 from models.thermal.family import model_from_json
+from models.thermal.training.fleet.fleet import LeftOut
 
 MACHINES = (1, 2, 3, 4)
 
@@ -114,6 +117,25 @@ def test_a_machine_that_the_others_contradict_is_named(fleet: Path, tmp_path: Pa
     assert warnings["mill-4"][0].startswith("Z1 reads the wrong way round, by what all other machines say")
     assert "warning: mill-4: Z1 reads the wrong way round" in result.stderr
     assert not any(warnings[f"mill-{machine}"] for machine in MACHINES[:3])
+
+
+def test_a_machine_on_which_a_channel_happens_to_move_little_is_not_accused() -> None:
+    def machine(name: str, *without_um: float, left_um: float = 5.0) -> LeftOut:
+        return LeftOut(
+            machine=name,
+            recordings=0,
+            tested_on=2,
+            without_um=np.array(without_um),
+            alone_um=None,
+            with_prior_um=np.array([left_um, 5.0, 5.0]),
+            how="",
+            residual_um=np.zeros((1, 3)),
+        )
+
+    sound, others = machine("m1", 4.0, 20.0, 20.0), [machine(f"m{at}", 20.0, 20.0, 20.0) for at in (2, 3, 4)]
+    assert contradictions([sound, *others], ("X", "Y", "Z")) == {}
+    found = contradictions([machine("m1", 4.0, 20.0, 20.0, left_um=30.0), *others], ("X", "Y", "Z"))
+    assert list(found) == ["m1"] and "worse than nothing (X -650% of the error gone)" in found["m1"][0]
 
 
 def test_a_machine_of_another_type_is_refused_with_what_it_lacks(fleet: Path, tmp_path: Path) -> None:

@@ -139,6 +139,29 @@ def test_a_machine_of_which_the_others_know_little_teaches_nothing(fleet: dict[s
     assert odd_machines(summaries(few)) == {}, "of three nobody knows which is strange"
 
 
+def with_none_um(found: Sequence[Summary], names: Sequence[str]) -> float:
+    """What the others leave of the error of some machines, without a recording of their own."""
+    left = [one.with_prior_um.mean() for one in left_out_machines(found) if one.recordings == 0]
+    return float(sum(um for one, um in zip(found, left, strict=True) if one.machine in names))
+
+
+def test_a_machine_with_a_single_poor_recording_does_not_spoil_what_the_others_learn(
+    fleet: dict[str, list[Recording]],
+) -> None:
+    noise_um = 8.0 * np.random.default_rng(3).standard_normal((60, 2)).cumsum(axis=0)
+    (day,) = fleet["mill-3"][:1]
+    poor = replace(
+        day,
+        time_s=day.time_s[:60],
+        speed_rpm=None if day.speed_rpm is None else day.speed_rpm[:60],
+        temperatures_degc=day.temperatures_degc[:60],
+        displacements_um=day.displacements_um[:60] + noise_um,
+    )
+    others = [name for name in fleet if name != "mill-3"]
+    clean = with_none_um(summaries({name: fleet[name] for name in others}), others)
+    assert with_none_um(summaries(fleet | {"mill-3": [poor]}), others) < 1.3 * clean
+
+
 def test_a_change_in_the_middle_is_known_from_one_odd_day() -> None:
     before, after = days(3, count=6), days(3, count=9)[6:]
     changed = [replace(one, displacements_um=one.displacements_um[:, ::-1]) for one in after]

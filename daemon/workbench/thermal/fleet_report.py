@@ -9,9 +9,10 @@ import numpy as np
 from daemon.workbench.thermal.fleet import FleetTraining
 from models.records import FloatArray
 from models.thermal.training.fleet.fleet import LeftOut
+from models.thermal.training.fleet.sharing import usual_motion
 
 WORSE = 1.1
-"""Errors that grow to this times what they are without a model are told."""
+"""Errors that grow to this times what they are without a model, or on a usual machine, are told."""
 
 
 def summary(result: FleetTraining, path: Path | None) -> dict[str, Any]:
@@ -20,6 +21,7 @@ def summary(result: FleetTraining, path: Path | None) -> dict[str, Any]:
     left_out = {
         one.machine: [each for each in result.left_out if each.machine == one.machine] for one in result.summaries
     }
+    contradicting = contradictions(result.left_out, made.channels)
     return {
         "type": {
             "file": None if path is None else str(path),
@@ -40,7 +42,7 @@ def summary(result: FleetTraining, path: Path | None) -> dict[str, Any]:
                 "warnings": [
                     *result.odd.get(one.machine, ()),
                     *one.warnings,
-                    *contradictions(left_out[one.machine], made.channels),
+                    *contradicting.get(one.machine, ()),
                 ],
                 "left_out": [_left_out(each, made.channels) for each in left_out[one.machine]],
             }
@@ -50,21 +52,26 @@ def summary(result: FleetTraining, path: Path | None) -> dict[str, Any]:
     }
 
 
-def contradictions(left_out: Sequence[LeftOut], channels: tuple[str, ...]) -> list[str]:
-    """Return a sentence where what the others know is of little use for a machine that was left out."""
-    worse = [
-        f"{name} {1.0 - left_um / without_um:.0%}"
-        for one in left_out
-        if one.recordings == 0
-        for name, without_um, left_um in zip(channels, one.without_um, one.with_prior_um, strict=True)
-        if left_um > WORSE * without_um > 0.0
-    ]
-    if not worse:
-        return []
-    return [
-        f"what the other machines know makes it worse than nothing ({', '.join(worse)} of the error gone): channels "
-        "may be swapped, or it is of another type: train once without it, and see whether the others gain"
-    ]
+def contradictions(left_out: Sequence[LeftOut], channels: tuple[str, ...]) -> dict[str, list[str]]:
+    """Return a sentence for each machine that was left out, and for which what the others know is of little use."""
+    with_none = [one for one in left_out if one.recordings == 0]
+    counts_um = usual_motion(np.array([one.without_um for one in with_none])) if with_none else ()
+    found = {}
+    for one, of_machine_um in zip(with_none, counts_um, strict=True):
+        worse = [
+            f"{name} {1.0 - left_um / without_um:.0%}"
+            for name, without_um, left_um, counts in zip(
+                channels, one.without_um, one.with_prior_um, of_machine_um, strict=True
+            )
+            if left_um > WORSE * counts and without_um > 0.0
+        ]
+        if worse:
+            found[one.machine] = [
+                f"what the other machines know makes it worse than nothing ({', '.join(worse)} of the error gone): "
+                "channels may be swapped, or it is of another type: train once without it, and see whether the others "
+                "gain"
+            ]
+    return found
 
 
 def _left_out(one: LeftOut, channels: tuple[str, ...]) -> dict[str, Any]:

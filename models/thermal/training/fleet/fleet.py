@@ -26,6 +26,7 @@ from models.thermal.training.fleet.products import (
     speed_factors,
     summed,
 )
+from models.thermal.training.fleet.sharing import Sharing
 from models.thermal.training.inputs import (
     Inputs,
     averaged_recordings,
@@ -270,6 +271,12 @@ def reduced_rows(recordings: Sequence[Recording], space: Space) -> tuple[Inputs,
     return inputs, space.reduced(inputs.features * factor), inputs.trainable()
 
 
+def sharing_of(summaries: Sequence[Summary], kept: Sequence[int]) -> Sharing:
+    """Return what some of the machines say of each other, by their places."""
+    some = [summaries[at] for at in kept]
+    return Sharing(np.array([one.weights for one in some]), [one.products for one in some])
+
+
 def left_out_machines(summaries: Sequence[Summary]) -> list[LeftOut]:
     """Return how good the fleet is on machines that it does not know, by numbers of their own recordings.
 
@@ -277,10 +284,11 @@ def left_out_machines(summaries: Sequence[Summary]) -> list[LeftOut]:
     """
     found = []
     kept = evenly(len(summaries))
+    sharing = sharing_of(summaries, kept)
     for place, one in enumerate(summaries):
         if one.tested is None:
             continue
-        members = np.array([summaries[at].weights for at in kept if at != place])
+        members = sharing.members([row for row, at in enumerate(kept) if at != place])
         for count in COUNTS:
             if count > len(one.tested.train):
                 continue
@@ -318,6 +326,7 @@ def machine_type(
     whole = sum((one.products.xx for one in summaries[1:]), summaries[0].products.xx) / len(summaries)
     eigenvalues, vectors = np.linalg.eigh(whole)
     kept = evenly(len(summaries))
+    members = sharing_of(summaries, kept).members(range(len(kept)))
     moving = max(int((space.gain > 0.0).sum()), 1)
     remaining = _remaining(eigenvalues, FALLBACK_PENALTY, moving)
     farthest = max(float((np.square(one.farthest @ vectors) @ remaining).max()) for one in summaries)
@@ -338,7 +347,7 @@ def machine_type(
         eigenvalues=np.maximum(eigenvalues, 0.0),
         penalty=FALLBACK_PENALTY,
         machines=tuple(summaries[at].machine for at in kept),
-        members=np.array([(vectors.T @ summaries[at].weights).ravel() for at in kept], dtype=np.float32),
+        members=np.array([(vectors.T @ one).ravel() for one in members], dtype=np.float32),
         lowest_degc=np.min([one.lowest_degc for one in summaries], axis=0),
         highest_degc=np.max([one.highest_degc for one in summaries], axis=0),
         highest_speed_rpm=max(one.highest_speed_rpm for one in summaries),

@@ -33,7 +33,7 @@ class MachineType:
     machines: tuple[str, ...]
     """Names of the machines whose models are kept."""
     members: Packed
-    """Their models, shape (n_machines, k * n_channels)."""
+    """Their models, each times its share and their number (`Sharing`), shape (n_machines, k * n_channels)."""
     lowest_degc: Numbers
     """Lowest temperature that each sensor of the type had, shape (layout.sensors,)."""
     highest_degc: Numbers
