@@ -7,6 +7,7 @@ is passed over. Where the agent has forgotten some of them, its present state is
 
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from http import HTTPStatus
 from typing import NoReturn
 from urllib.parse import quote
 
@@ -156,11 +157,16 @@ class MtconnectCnc(LinkedCnc):
         agent = self._agent
         below = f"/{quote(self._device.name, safe='')}" if self._device is not None and self._device.name else ""
         try:
-            content = await fetch(agent.host, agent.port, f"{quote(agent.path, safe='/%')}{below}{target}")
+            status, content = await fetch(agent.host, agent.port, f"{quote(agent.path, safe='/%')}{below}{target}")
         except ConnectionRefusedError as error:
             sentence = "refuses the connection: check cnc.mtconnect.url, and that the agent runs"
             self._lose(f"{self._name} {sentence}", error)
-        root = await parsed(content)
+        try:
+            root = await parsed(content)
+        except XmlError as error:
+            if status == HTTPStatus.OK:
+                raise
+            raise HttpError(f"HTTP status {status} and no document of an agent; check cnc.mtconnect.url") from error
         if root.name == "MTConnectError":
             code, words = _told(root)
             raise AgentError(f"the agent says {code or 'an error'}: {words}", code)

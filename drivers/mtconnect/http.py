@@ -14,8 +14,8 @@ class HttpError(ValueError):
     """The answer is not HTTP, or none that is read here; the text says why."""
 
 
-async def fetch(host: str, port: int, target: str) -> bytes:
-    """Return the body of what lies at a target, whatever its status: an agent's errors are documents too.
+async def fetch(host: str, port: int, target: str) -> tuple[int, bytes]:
+    """Return status and body of what lies at a target, whatever its status: an agent's errors are documents too.
 
     Raises OSError, and HttpError for what is no answer. The caller bounds the time.
     """
@@ -33,8 +33,8 @@ async def fetch(host: str, port: int, target: str) -> bytes:
         writer.transport.abort()
 
 
-async def _body(reader: asyncio.StreamReader, connection: h11.Connection) -> bytes:
-    body = bytearray()
+async def _body(reader: asyncio.StreamReader, connection: h11.Connection) -> tuple[int, bytes]:
+    status, body = 0, bytearray()
     while True:
         event = connection.next_event()
         if event is h11.NEED_DATA:
@@ -44,6 +44,8 @@ async def _body(reader: asyncio.StreamReader, connection: h11.Connection) -> byt
             if len(body) > LONGEST_DOCUMENT:
                 raise HttpError(f"it is longer than {LONGEST_DOCUMENT} byte")
         elif isinstance(event, h11.EndOfMessage):
-            return bytes(body)
-        elif not isinstance(event, h11.Response | h11.InformationalResponse):
+            return status, bytes(body)
+        elif isinstance(event, h11.Response | h11.InformationalResponse):
+            status = event.status_code
+        else:
             raise HttpError("it ends before it is whole")

@@ -100,6 +100,22 @@ async def test_what_the_agent_has_forgotten_is_read_anew_and_another_instance_is
 
 
 @pytest.mark.wires
+async def test_what_is_no_agent_is_named_with_its_status():
+    async def login(reader, writer):
+        await reader.readuntil(b"\r\n\r\n")
+        body = b"<html><body>Log in<br></body></html>"
+        writer.write(b"HTTP/1.1 401 Unauthorized\r\nContent-Length: %d\r\n\r\n" % len(body) + body)
+        writer.close()
+
+    server = await asyncio.start_server(login, "127.0.0.1", 0)
+    cnc = AgentBench().open_at(server.sockets[0].getsockname()[1])
+    with pytest.raises(LinkError, match="HTTP status 401 and no document of an agent"):
+        await cnc.connect()
+    await cnc.close()
+    server.close()
+
+
+@pytest.mark.wires
 async def test_the_output_stays_refused_with_the_reason(tmp_path, bench):
     configuration = machine(tmp_path)
     cnc = bench.open()
