@@ -26,6 +26,8 @@ LABEL_WIDTH = 18
 """What a line is about stands in a column of this width [character]."""
 NARROW = 60
 """On a narrower terminal these words stand on a line of their own [character]."""
+LEAST_BAR = 5
+"""Of a gauge, without the numbers at its ends [character]."""
 NUMBERS_WIDTH = 23
 """Of the two numbers of an axis, with the space around them [character]."""
 LEFT_OUT = "a taller terminal shows more"
@@ -194,12 +196,12 @@ class _Axes:
         self._axes = axes
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        narrow = options.max_width < NARROW
+        width = min(options.max_width - self.NUMBERS_END, 45)
+        narrow = width < max((_least_gauge(axis["bound_um"]) for axis in self._axes.values()), default=0)
         table = Table(box=None, padding=(0, 0, 0, 1), pad_edge=False, header_style="bold")
         for place, heading in enumerate(self.HEADINGS[:-1]):
             words = ("axis", "on", "estim.", "request", "written", "applied")[place] if narrow else heading
             table.add_column(words, justify="right" if place > 1 else "left", no_wrap=True)
-        width = min(options.max_width - self.NUMBERS_END, 45)
         if not narrow:
             table.add_column(self.HEADINGS[-1] if width >= len(self.HEADINGS[-1]) else "", no_wrap=True)
         for called, axis in self._axes.items():
@@ -227,10 +229,14 @@ def _since_reference(axes: Mapping[str, Mapping[str, Any]]) -> str:
     return f"requested = what was applied at the reference ({', '.join(known)}) - estimated"
 
 
+def _least_gauge(bound: float) -> int:
+    return len(f"{-bound:+.0f} {bound:+.0f} ") + LEAST_BAR
+
+
 def _gauge(value: float | None, bound: float, width: int) -> Text:
     """Return a bar from -bound to +bound with the value marked."""
     low, high = f"{-bound:+.0f} ", f" {bound:+.0f}"
-    inner = max(width - len(low) - len(high), 5) | 1
+    inner = (width - len(low) - len(high) - 1) | 1
     text = Text(low)
     place = None if value is None else round((min(max(value / bound, -1.0), 1.0) + 1.0) / 2.0 * (inner - 1))
     for index in range(inner):
@@ -271,16 +277,16 @@ def _cnc(picture: Mapping[str, Any]) -> RenderableType:
     return _Flow([Text(part) for part in parts], " · ")
 
 
-def _latency(latency: Mapping[str, Any]) -> Table:
-    table = Table.grid(padding=(0, 2))
+def _latency(latency: Mapping[str, Any]) -> RenderableType:
     published = latency["published"]
-    shown = {part: latency[part]["mean"] for part in ("measurement", "feedback", "total")}
-    table.add_row("", *(Text(part, style="dim") for part in shown))
-    means = (number(shown["measurement"], 2, " s"), milliseconds(shown["feedback"]), number(shown["total"], 2, " s"))
-    table.add_row(Text("mean", style="dim"), *means)
+    mean = {part: latency[part]["mean"] for part in ("measurement", "feedback", "total")}
+    here = (number(mean["measurement"], 2, " s"), milliseconds(mean["feedback"]), number(mean["total"], 2, " s"))
     theirs = (f"> {published['measurement']:g} s", f"{published['feedback']} s", f"{published['total']} s")
-    table.add_row(Text("published", style="dim"), *theirs, Text("by another rig", style="dim"))
-    return table
+    rows = [
+        [Text.assemble((f"{part} ", "dim"), value) for part, value in zip(mean, row, strict=True)]
+        for row in (here, theirs)
+    ]
+    return Group(_Flow(rows[0], "  "), _Flow([*rows[1], Text("published, by another rig", style="dim")], "  "))
 
 
 def _links(picture: Mapping[str, Any]) -> RenderableType:

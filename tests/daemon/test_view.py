@@ -119,6 +119,14 @@ def test_before_anything_is_known_it_renders_too(width):
     assert "reference" in text and "–" in text
 
 
+@pytest.mark.parametrize("width", [40, 59, 60, 61, 70, 74, 75, 76, 80])
+def test_headings_and_numbers_of_the_axes_are_whole_at_every_width(width):
+    axes = {"x": AXIS | {"estimate_from": None}, "y": AXIS, "z": AXIS | {"bound_um": 100.0, "requested_um": -100.0}}
+    lines = shown(status_view(PICTURE | {"axes": axes}), width).splitlines()
+    assert not [line for line in lines if "…" in line]
+    assert [line for line in lines if line.startswith("z ") and "-12.3" in line and "-100.0" in line]
+
+
 ROOMY = PICTURE | {
     "output": PICTURE["output"] | {"state": "ACTIVE", "reason": "following the estimate", "alarm": "", "weight": 1.0},
     "model": {"model_id": "ridge", "problem": ""},
