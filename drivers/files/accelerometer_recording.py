@@ -1,5 +1,6 @@
 """Reads an accelerometer recording: CSV (`time_s,acceleration_m_s2`) or WAV (PCM or float)."""
 
+import csv
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.contract import FatalDriverError
+from drivers.files.table import columns, number
 from models.records import FloatArray
 
 COLUMNS = ("time_s", "acceleration_m_s2")
@@ -50,23 +52,27 @@ def read_acceleration(path: Path, full_scale_m_s2: float | None = None) -> Accel
 
 def _csv(path: Path, text: str) -> AccelerationRecording:
     lines = text.splitlines()
-    names = [name.strip() for name in (lines[0] if lines else "").split(",")]
+    try:
+        names, delimiter = columns(lines[0] if lines else "")
+    except csv.Error as error:
+        raise AccelerometerFileError(f"{path}: is not CSV ({error})") from error
     if missing := [name for name in COLUMNS if name not in names]:
         raise AccelerometerFileError(
             f"{path}:1: there is no column {' and '.join(missing)}; a recording has the header {','.join(COLUMNS)}"
         )
     time_place, value_place = names.index(COLUMNS[0]), names.index(COLUMNS[1])
-    rows = [(number, line.split(",")) for number, line in enumerate(lines[1:], start=2) if line.strip()]
+    rows = [(place, line.split(delimiter)) for place, line in enumerate(lines[1:], start=2) if line.strip()]
     if len(rows) < FEWEST_SAMPLES:
         raise AccelerometerFileError(f"{path}: holds {len(rows)} samples; this is too short to say anything")
     times = np.empty(len(rows))
     values = np.empty(len(rows))
-    for place, (number, fields) in enumerate(rows):
+    for place, (line_number, fields) in enumerate(rows):
         try:
-            times[place], values[place] = float(fields[time_place]), float(fields[value_place])
+            times[place] = number(fields[time_place], delimiter)
+            values[place] = number(fields[value_place], delimiter)
         except (ValueError, IndexError):
             raise AccelerometerFileError(
-                f"{path}:{number}: {','.join(fields)[:60]!r} are no two numbers; is the row cut off?"
+                f"{path}:{line_number}: {delimiter.join(fields)[:60]!r} are no two numbers; is the row cut off?"
             ) from None
     if not (np.all(np.isfinite(times)) and np.all(np.isfinite(values))):
         bad = int(np.flatnonzero(~(np.isfinite(times) & np.isfinite(values)))[0])

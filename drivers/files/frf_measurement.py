@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from drivers.contract import FatalDriverError
+from drivers.files.table import columns, number
 from models.dynamics.measurement import ORDER, Measurement, MeasurementError, Quantity, receptance
 
 UNIVERSAL_ENDINGS = (".uff", ".unv", ".ufb")
-DELIMITERS = (",", ";", "\t")
 FREQUENCY_RESPONSE, COHERENCE = 4, 6
 """Function types of data set 58."""
 RESPONSES: dict[int, Quantity] = {8: "receptance", 11: "mobility", 12: "accelerance"}
@@ -49,26 +49,24 @@ def _csv(path: Path) -> Measurement:
         raise MeasurementFileError(
             f"{path}: is not UTF-8 text; export the response as CSV, or name a universal file {UNIVERSAL_ENDINGS[0]}"
         ) from error
-    header = lines[0] if lines else ""
-    delimiter = max(DELIMITERS, key=header.count)
-    names = [name.strip() for name in header.split(delimiter)]
+    try:
+        names, delimiter = columns(lines[0] if lines else "")
+        found = list(csv.reader(lines[1:], delimiter=delimiter))
+    except csv.Error as error:
+        raise MeasurementFileError(f"{path}: is not CSV ({error})") from error
     quantity = _quantity(path, names)
     wanted = ["frequency_hz", f"{quantity}_re", f"{quantity}_im", *(["coherence"] if "coherence" in names else [])]
     places = [names.index(name) for name in wanted]
     rows: list[list[float]] = []
-    try:
-        found = list(csv.reader(lines[1:], delimiter=delimiter))
-    except csv.Error as error:
-        raise MeasurementFileError(f"{path}: is not CSV ({error})") from error
-    for number, fields in enumerate(found, start=2):
+    for line, fields in enumerate(found, start=2):
         if not any(field.strip() for field in fields):
             continue
         if len(fields) != len(names):
-            raise MeasurementFileError(f"{path}:{number}: has {len(fields)} fields where the header has {len(names)}")
-        row = [_number(path, number, name, fields[place]) for name, place in zip(wanted, places, strict=True)]
+            raise MeasurementFileError(f"{path}:{line}: has {len(fields)} fields where the header has {len(names)}")
+        row = [_number(path, line, name, fields[place], delimiter) for name, place in zip(wanted, places, strict=True)]
         if rows and row[0] <= rows[-1][0]:
             raise MeasurementFileError(
-                f"{path}:{number}: column frequency_hz: {row[0]:g} Hz does not lie above the row before; "
+                f"{path}:{line}: column frequency_hz: {row[0]:g} Hz does not lie above the row before; "
                 "sort the rows and remove doubles"
             )
         rows.append(row)
@@ -96,9 +94,9 @@ def _quantity(path: Path, names: list[str]) -> Quantity:
     return found[0]
 
 
-def _number(path: Path, line: int, name: str, text: str) -> float:
+def _number(path: Path, line: int, name: str, text: str, delimiter: str) -> float:
     try:
-        value = float(text)
+        value = number(text, delimiter)
     except ValueError:
         value = math.nan
     if (

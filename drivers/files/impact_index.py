@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from drivers.contract import FatalDriverError
+from drivers.files.table import DELIMITERS, columns
 
 INDEX_FILE = "impacts.csv"
 HEADER = ("file", "axis", "time")
@@ -48,12 +49,14 @@ def read_index(folder: Path) -> tuple[IndexedImpact, ...]:
     except UnicodeDecodeError as error:
         raise ImpactIndexError(f"{path}: is not UTF-8 text; save it as CSV in UTF-8") from error
     try:
-        rows = list(csv.reader(text.splitlines()))
+        lines = text.splitlines()
+        names, delimiter = columns(lines[0] if lines else "")
+        rows = list(csv.reader(lines[1:], delimiter=delimiter))
     except csv.Error as error:
         raise ImpactIndexError(f"{path}: is not CSV ({error})") from error
-    if not rows or tuple(name.strip() for name in rows[0]) != HEADER:
+    if tuple(names) != HEADER:
         raise ImpactIndexError(f"{path}:1: the header must be {','.join(HEADER)}")
-    found = [_impact(path, number, row) for number, row in enumerate(rows[1:], start=2) if any(map(str.strip, row))]
+    found = [_impact(path, number, row) for number, row in enumerate(rows, start=2) if any(map(str.strip, row))]
     if not found:
         raise ImpactIndexError(f"{path}: names no response")
     return tuple(sorted(found, key=lambda each: each.time))
@@ -92,7 +95,7 @@ def first_time(path: Path, column: str) -> float:
     """Return the time of the first row of a recording in the unit of its column; raises ImpactIndexError."""
     with path.open(encoding="utf-8-sig", newline="") as file:
         header, row = next(file, ""), next(file, "")
-    delimiter = max((",", ";", "\t"), key=header.count)
+    delimiter = max(DELIMITERS, key=header.count)
     names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter), [])]
     fields = next(csv.reader([row], delimiter=delimiter), [])
     try:

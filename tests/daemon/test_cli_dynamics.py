@@ -94,6 +94,18 @@ def test_a_spindle_with_two_bearing_pairs_is_identified_without_a_choice(tmp_pat
     assert "all parameters of the groups there are (12 and 34) are varied; --parameters 5 or 7 varies fewer" in told
 
 
+def test_groups_named_as_the_published_ones_are_no_reason_to_keep_published_values(tmp_path: Path) -> None:
+    own = DIRECT.replace("kr_nm_per_rad: 1e-5", "kr_nm_per_rad: 5e5").replace("kt_n_per_m: 1e-5", "kt_n_per_m: 1.6e8")
+    truth = tmp_path / "truth.yaml"
+    truth.write_text(own)
+    measured = write_csv(tmp_path / "measured.csv", *nose(truth))
+    guess = tmp_path / "guess.yaml"
+    guess.write_text(own.replace("5.11e7", "8e7").replace("1.7e8", "1e8"))
+    assert answer("identify", guess, measured, "--parameters", "5")["log_error"] > 0.05
+    found = answer("identify", guess, measured)
+    assert found["log_error"] < 1e-3 and found["fixed_from"] is None and len(found["values"]) == 12
+
+
 def test_groups_have_any_names_and_a_person_says_what_varies(tmp_path: Path) -> None:
     truth = tmp_path / "truth.yaml"
     named = DIRECT.replace("'12'", "front").replace("'34'", "middle").replace("'5'", "rear")

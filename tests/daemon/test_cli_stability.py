@@ -227,6 +227,10 @@ def test_coefficients_from_mean_forces(case: Path) -> None:
     assert found["kt_n_per_m2"] == pytest.approx(6e8)
     assert found["kr_ratio"] == pytest.approx(1.0 / 3.0)
     assert found["tangential_edge_n_per_m"] == pytest.approx(15e3)
+    rows_of_excel = path.read_text().replace(",", ";").replace(".", ",")
+    path.with_name("excel.csv").write_text(rows_of_excel.replace("feed", "Feed"))
+    other = answer("coefficients", path.with_name("excel.csv"), "--case", case, "--depth-mm", 2.0)
+    assert other["kt_n_per_m2"] == found["kt_n_per_m2"]
     path.write_text(path.read_text().replace(rows[1], "0.1,x,3"))
     assert "forces.csv:3: a field is no number" in refusal("coefficients", path, "--case", case, "--depth-mm", 2.0)
     assert "needs --case" in refusal("coefficients", path)

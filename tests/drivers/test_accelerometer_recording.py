@@ -40,6 +40,13 @@ def test_wav_forms(tmp_path: Path, kind: int, bits: int, data: bytes) -> None:
     assert found.acceleration_m_s2 == pytest.approx(50.0 * SHARES, abs=50.0 * 2.0**-15)
 
 
+def test_csv_with_semicolons_and_decimal_commas(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{i / 6400:.7f};{share:.6f}".replace(".", ",") for i, share in enumerate(SHARES)]
+    path.write_text("\r\n".join(['"Time_s";"Acceleration_m_s2"', *rows]))
+    assert read_acceleration(path).acceleration_m_s2 == pytest.approx(SHARES, abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [

@@ -77,9 +77,22 @@ def test_csv_with_coherence_other_columns_and_semicolons(tmp_path: Path) -> None
     assert found.coherence == pytest.approx(np.full(40, 0.75))
 
 
+@pytest.mark.parametrize("delimiter", [";", "\t"])
+def test_csv_with_decimal_commas_and_a_header_in_capitals(tmp_path: Path, delimiter: str) -> None:
+    path = tmp_path / "m.csv"
+    rows = [delimiter.join(("Frequency_Hz", " Receptance_Re", "Receptance_Im"))]
+    for f, h in zip(FREQUENCY_HZ.tolist(), RECEPTANCE.tolist(), strict=True):
+        rows.append(delimiter.join(repr(value).replace(".", ",") for value in (f, h.real, h.imag)))
+    path.write_bytes(b"\xef\xbb\xbf" + "\r\n".join(rows).encode())
+    (found,) = read_measurements(path)
+    assert found.frequency_hz == pytest.approx(FREQUENCY_HZ[FREQUENCY_HZ > 0.0])
+    assert found.receptance_m_per_n == pytest.approx(RECEPTANCE[FREQUENCY_HZ > 0.0])
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [
+        ("frequency_hz;receptance_re;receptance_im\n1.000,5;1e-7;0\n", r":2: column frequency_hz: '1.000,5'"),
         ("frequency_hz,receptance_re,receptance_im\n", "holds no frequencies"),
         ("frequency_hz,receptance_re,receptance_im\n-1,0,0\n", r":2: column frequency_hz: '-1'"),
         ("frequency_hz,receptance_re,receptance_im\n1,1e-7,inf\n", r":2: column receptance_im: 'inf'"),

@@ -51,7 +51,8 @@ vary_option = option(
     "--parameters",
     type=click.Choice(["auto", "5", "7", "12"]),
     default="auto",
-    help="How many bearing parameters are varied; the others are kept. auto: 5 for the groups 12, 34 and 5, else all.",
+    help="How many bearing parameters are varied; the others are kept. auto: 5 for the groups 12, 34 and 5 where they "
+    "explain the response, else all.",
 )
 @vary_option
 @method_option
@@ -100,7 +101,10 @@ def identify(
         band = Band(from_hz=from_hz, to_hz=to_hz, least_coherence=least_coherence, trust_units=trust_units)
         count = 4 * len({support.group for support in spindle.shaft.supports}) - len(kept)
         response = measured_response(measured, band, count)
-        found = bearings_summary(spindle, response, kept, method, fixed, trust_units=trust_units)
+        open_count = parameters == "auto" and not vary
+        found = bearings_summary(
+            spindle, response, kept, method, fixed, may_vary_all=open_count, trust_units=trust_units
+        )
     except MeasurementError as error:
         refuse(f"{', '.join(map(str, measured))}: {error}")
     except (ResponseError, IdentificationError) as error:

@@ -85,19 +85,20 @@ def bearings_summary(
     method: Method = "lm",
     fixed: Fixed = "auto",
     *,
+    may_vary_all: bool = False,
     trust_units: bool = False,
 ) -> dict[str, Any]:
     """Return what `toolpoint dynamics identify` prints.
 
     `kept`: what is not varied, by `kept_for`. `fixed`: `auto` keeps it at these values and, when that fits badly, at
-    the file's.
+    the file's, or with `may_vary_all` nowhere.
 
     Raises MeasurementError when the response is of another unit, unless `trust_units`.
     """
     shaft = CondensedShaft(spindle.shaft, measurement.frequency_hz)
     if not trust_units:
         check_level(measurement, *level_range_m_per_n(shaft))
-    found, source = _identified(spindle, shaft, measurement, kept, method, fixed)
+    found, source = _identified(spindle, shaft, measurement, kept, method, fixed, may_vary_all)
     if not trust_units:
         present = parameters_of(shaft.groups)
         few = kept or {name: value for name, value in FIXED[7].items() if name in present}
@@ -105,8 +106,8 @@ def bearings_summary(
             measurement, found.log_error, lambda other: _identified(spindle, None, other, few, "lm", fixed)[0].log_error
         )
     summary = _summary(spindle, measurement, found, method)
-    summary["parameters"] = len(found.free) if kept else len(PARAMETERS)
-    summary["fixed_from"] = source if kept else None
+    summary["parameters"] = len(found.free) if source else len(PARAMETERS)
+    summary["fixed_from"] = source
     return summary
 
 
@@ -117,20 +118,26 @@ def _identified(
     kept: Mapping[str, float],
     method: Method,
     fixed: Fixed,
-) -> tuple[Identified, str]:
-    """Return what was found, and where the parameters that were kept come from."""
+    may_vary_all: bool = False,
+) -> tuple[Identified, str | None]:
+    """Return what was found, and where the parameters that were kept come from, None where none was."""
     shaft = shaft or CondensedShaft(spindle.shaft, measurement.frequency_hz)
     stated = parameters_from_properties(properties(spindle))
     response = measurement.receptance_m_per_n
     kept_by_file = {name: stated.get(name, value) for name, value in kept.items()}
     if fixed == "file" or kept_by_file == kept:
-        return identify_bearings(shaft, response, start=stated, fixed=kept_by_file, method=method), "file"
-    found, source = identify_bearings(shaft, response, start=stated, fixed=kept, method=method), "source"
-    if fixed == "auto" and found.log_error >= good_fit(response):
-        other = identify_bearings(shaft, response, start=stated, fixed=kept_by_file, method=method)
+        found = identify_bearings(shaft, response, start=stated, fixed=kept_by_file, method=method)
+        return found, "file" if kept else None
+    found = identify_bearings(shaft, response, start=stated, fixed=kept, method=method)
+    source: str | None = "source"
+    others: list[tuple[str | None, dict[str, float]]] = [("file", kept_by_file)] if fixed == "auto" else []
+    for name, values in [*others, (None, {})] if others and may_vary_all else others:
+        if found.log_error < good_fit(response):
+            break
+        other = identify_bearings(shaft, response, start=stated, fixed=values, method=method)
         evaluations = found.evaluations + other.evaluations
         if other.log_error < 0.5 * found.log_error:
-            found, source = other, "file"
+            found, source = other, name
         found = replace(found, evaluations=evaluations)
     return found, source
 

@@ -1,5 +1,6 @@
 """Chatter and roughness from files."""
 
+import csv
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -9,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from daemon.workbench.stability.csv_rows import csv_rows
+from daemon.workbench.stability.csv_rows import csv_rows, field
 from drivers.files.accelerometer_recording import AccelerationRecording
 from models.errors import StabilityError
 from models.json_values import finite_or_none
@@ -140,7 +141,7 @@ def judge_profile(path: Path, cutoff_mm: float | None) -> list[dict[str, Any]]:
         names = reader.fieldnames or []
         if missing := [name for name in PROFILE_COLUMNS if name not in names]:
             raise StabilityError(f"{path}:1: there is no column {' and '.join(missing)} in {', '.join(names)}")
-        rows = [_profile_row(path, number, row) for number, row in enumerate(reader, start=2)]
+        rows = [_profile_row(path, number, reader, row) for number, row in enumerate(reader, start=2)]
     if not rows:
         raise StabilityError(f"{path}: holds no points after its header")
     table = np.array(rows)
@@ -154,10 +155,12 @@ def judge_profile(path: Path, cutoff_mm: float | None) -> list[dict[str, Any]]:
     ]
 
 
-def _profile_row(path: Path, number: int, row: dict[str, str | None]) -> tuple[float, float, float]:
+def _profile_row(
+    path: Path, number: int, reader: "csv.DictReader[str]", row: dict[str, str | None]
+) -> tuple[float, float, float]:
     try:
-        values = [float(row[name] or "") for name in PROFILE_COLUMNS]
-        depth = float(row[DEPTH_COLUMN] or "") if DEPTH_COLUMN in row else 0.0
+        values = [field(reader, row, name) for name in PROFILE_COLUMNS]
+        depth = field(reader, row, DEPTH_COLUMN) if DEPTH_COLUMN in row else 0.0
     except ValueError:
         raise StabilityError(f"{path}:{number}: a field is no number; remove the row or measure again") from None
     if not all(math.isfinite(value) for value in (*values, depth)):

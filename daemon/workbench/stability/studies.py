@@ -11,7 +11,7 @@ import numpy as np
 
 from config.machine.stability_case import DirectionCase, StabilityCase, load_stability_case
 from daemon.workbench.stability.case_files import read_direction
-from daemon.workbench.stability.csv_rows import csv_rows
+from daemon.workbench.stability.csv_rows import csv_rows, field
 from daemon.workbench.stability.lobes import LobesRequest, find_lobes
 from models.dynamics.measurement import Measurement
 from models.errors import StabilityError
@@ -95,7 +95,7 @@ def _forces(path: Path, reader: "csv.DictReader[str]") -> FloatArray:
     rows = []
     for number, row in enumerate(reader, start=2):
         try:
-            rows.append([float(row[name] or "") for name in FORCE_COLUMNS])
+            rows.append([field(reader, row, name) for name in FORCE_COLUMNS])
         except ValueError:
             raise StabilityError(f"{path}:{number}: a field is no number; remove the row or measure again") from None
     if not rows:
