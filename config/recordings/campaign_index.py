@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import ConfigDict, Field, ValidationError
 
+from config.records.faults import first_fault
 from config.schema.base import Section
 from models.errors import RefusedInputError
 
@@ -58,6 +59,4 @@ def read_campaign_index(folder: Path) -> CampaignIndex:
     try:
         return CampaignIndex.model_validate_json(json.dumps(content))
     except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"]))
-        raise CampaignIndexError(f"{path}: {place or 'content'}: {first['msg']}") from error
+        raise CampaignIndexError(f"{path}: {first_fault(error)}") from error

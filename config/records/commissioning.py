@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import Field, ValidationError, model_validator
 
+from config.records.faults import first_fault
 from config.schema.base import Section
 from config.schema.cnc import CHECK_MISSING, MacroMapConfig
 from config.schema.compensation import SlopeConfig
@@ -126,9 +127,7 @@ def load_commissioning(path: Path, trusted: Path | None = None) -> Commissioning
     except UnicodeDecodeError as error:
         raise CommissioningError(f"{path}: this is no record: byte {error.start} is not UTF-8 text") from error
     except ValidationError as error:
-        first = error.errors()[0]
-        where = "".join(f"{part}: " for part in (".".join(map(str, first["loc"])),) if part)
-        raise CommissioningError(f"{path}: {where}{first['msg']}") from error
+        raise CommissioningError(f"{path}: {first_fault(error)}") from error
 
 
 ADVICE = "run `toolpoint commission`"

@@ -5,6 +5,7 @@ from typing import Literal
 
 from pydantic import Field, ValidationError
 
+from config.records.faults import first_fault
 from config.schema.base import Section
 
 
@@ -52,5 +53,4 @@ def read_release_record(path: Path) -> tuple[ReleaseRecord, bytes]:
     except UnicodeDecodeError as error:
         raise ReleaseRecordError(f"{path}: this is no release record: byte {error.start} is not UTF-8 text") from error
     except ValidationError as error:
-        first = error.errors()[0]
-        raise ReleaseRecordError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+        raise ReleaseRecordError(f"{path}: {first_fault(error)}") from error

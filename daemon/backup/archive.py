@@ -16,6 +16,7 @@ from typing import BinaryIO, Self
 
 from pydantic import ValidationError
 
+from config.records.faults import first_fault
 from config.signing import SigningError, TrustedKeys
 from daemon.backup.manifest import (
     COMMISSIONING_NAME,
@@ -174,9 +175,7 @@ class Archive:
         try:
             manifest = Manifest.model_validate_json(content)
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(map(str, first["loc"]))
-            raise self._refused(f"{MANIFEST_NAME}: {where}: {first['msg']}; another version made it") from error
+            raise self._refused(f"{MANIFEST_NAME}: {first_fault(error)}; another version made it") from error
         expected = {item.name: item for item in manifest.files}
         names = self._members.keys() - {MANIFEST_NAME, SIGNATURE_NAME}
         if names != expected.keys() or len(expected) != len(manifest.files):

@@ -111,6 +111,17 @@ def test_a_record_of_format_2_names_its_guard(tmp_path):
         load_commissioning(path)
 
 
+def test_what_is_wrong_with_a_record_is_a_sentence(tmp_path):
+    path = tmp_path / "record.json"
+    content = record().model_dump_json()
+    path.write_text(content.replace('"sign":1', '"sign":-1'), encoding="utf-8")
+    with pytest.raises(CommissioningError, match="record.json: axes.z: sign and scale make"):
+        load_commissioning(path)
+    path.write_text(content[:-9], encoding="utf-8")
+    with pytest.raises(CommissioningError, match="record.json: Invalid JSON: EOF"):
+        load_commissioning(path)
+
+
 def test_an_old_record_is_read_and_permits_nothing_once_the_guard_has_spoken():
     old = record(format_version=1, guard_version=None)
     assert inhibit(old, guard_version=None) == ""

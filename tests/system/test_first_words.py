@@ -91,6 +91,18 @@ def test_what_commissioning_would_refuse_is_said_by_the_check(
     assert found.exit_code == status
 
 
+def test_a_record_that_is_named_from_the_current_folder_is_told_by_its_whole_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A path in the configuration starts at the configuration's folder, not at the person's."""
+    path = tmp_path / "toolpoint.yaml"
+    path.write_text(sample_configuration(), encoding="utf-8")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    found = toolpoint("commission", "--check", "--config", path, "--record", "trial.json")
+    assert found.exit_code == 1 and f"{tmp_path}/elsewhere/trial.json: cannot be read" in found.output
+
+
 def test_a_full_disk_behind_the_output_is_told_in_a_sentence() -> None:
     command = [sys.executable, "-m", "daemon.cli", "sample-config"]
     with Path("/dev/full").open("wb") as full:

@@ -167,6 +167,9 @@ async def test_every_page_against_the_running_demonstration(demo, axe):
                 assert wide <= 0, f"{name} is {wide} pixels wider than {width}"
             expected = [text for text in seen.said if "404" not in text]  # dynamics are not configured
             assert (expected, seen.elsewhere) == ([], [])
+        await seen.page.set_viewport_size({"width": 800, "height": 900})
+        heights = [await seen.page.locator(each).first.evaluate("e => e.offsetHeight") for each in ("nav", "nav a")]
+        assert heights[0] < 2 * heights[1], "the names of the pages stand in more than one line"
     assert broken == {}
 
 

@@ -172,7 +172,7 @@ def commission(
         configuration = configuration if secrets_path is None else with_secrets(configuration, secrets_path)
     except CommissioningRefusedError as error:
         refuse(str(error))
-    record_file = record_path or configuration.compensation.commissioning_file
+    record_file = record_path.resolve() if record_path else configuration.compensation.commissioning_file
     if only_check:
         sys.exit(_check(configuration, record_file, report_path))
     known = tuple(configuration.compensation.axes)
