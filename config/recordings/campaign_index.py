@@ -6,8 +6,7 @@ from typing import Literal
 
 from pydantic import ConfigDict, Field, ValidationError
 
-from config.records.faults import first_fault
-from config.schema.base import Section
+from config.schema.base import Section, first_fault
 from models.errors import RefusedInputError
 
 INDEX_FILE = "campaign.json"

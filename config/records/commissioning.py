@@ -6,8 +6,7 @@ from typing import Literal
 
 from pydantic import Field, ValidationError, model_validator
 
-from config.records.faults import first_fault
-from config.schema.base import Section
+from config.schema.base import Section, first_fault
 from config.schema.cnc import CHECK_MISSING, MacroMapConfig
 from config.schema.compensation import SlopeConfig
 from config.signing import SigningError, TrustedKeys, signature_of

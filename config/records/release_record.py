@@ -5,8 +5,7 @@ from typing import Literal
 
 from pydantic import Field, ValidationError
 
-from config.records.faults import first_fault
-from config.schema.base import Section
+from config.schema.base import Section, first_fault
 
 
 class PreviousRelease(Section):

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Self, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from models.errors import RefusedInputError
 from models.json_values import printable
@@ -26,6 +26,13 @@ class KeyProblems(ValueError):
     def __init__(self, problems: Sequence[tuple[KeyPath, str]]) -> None:
         self.problems = tuple(problems)
         super().__init__("; ".join(sentence for _, sentence in self.problems))
+
+
+def first_fault(error: ValidationError) -> str:
+    """Return the key of a record that is wrong first, and why."""
+    fault = error.errors(include_url=False)[0]
+    where, why = ".".join(map(str, fault["loc"])), fault["msg"].removeprefix("Value error, ")
+    return f"{where}: {why}" if where else why
 
 
 NAME_PATTERN = r"^[A-Za-z][A-Za-z0-9_]*$"

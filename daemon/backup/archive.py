@@ -16,7 +16,7 @@ from typing import BinaryIO, Self
 
 from pydantic import ValidationError
 
-from config.records.faults import first_fault
+from config.schema.base import first_fault
 from config.signing import SigningError, TrustedKeys
 from daemon.backup.manifest import (
     COMMISSIONING_NAME,

@@ -115,10 +115,10 @@ def test_what_is_wrong_with_a_record_is_a_sentence(tmp_path):
     path = tmp_path / "record.json"
     content = record().model_dump_json()
     path.write_text(content.replace('"sign":1', '"sign":-1'), encoding="utf-8")
-    with pytest.raises(CommissioningError, match="record.json: axes.z: sign and scale make"):
+    with pytest.raises(CommissioningError, match=r"record\.json: axes.z: sign and scale make"):
         load_commissioning(path)
     path.write_text(content[:-9], encoding="utf-8")
-    with pytest.raises(CommissioningError, match="record.json: Invalid JSON: EOF"):
+    with pytest.raises(CommissioningError, match=r"record\.json: Invalid JSON: EOF"):
         load_commissioning(path)
 
 

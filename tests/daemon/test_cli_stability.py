@@ -212,6 +212,14 @@ def test_lobes_over_temperature_with_the_commanded_speed(case: Path) -> None:
     assert "belong together" in refusal("compare", case, "--depth-mm", 1.0)
 
 
+def test_a_choice_is_told_as_one_pair_of_speed_and_feed(case: Path) -> None:
+    asked = ("--programmed-rpm", 10000, "--depth-mm", 0.1, "--feed-mm-min", 1400)
+    told = run("choose", case, *asked, "--json", "-")
+    chosen = json.loads(told.stdout)
+    assert f"S{chosen['speed_rpm']:.0f} F{chosen['feed_mm_min']:.0f}: limiting depth" in told.stderr
+    assert chosen["feed_mm_min"] == pytest.approx(1400 * chosen["speed_rpm"] / 10000)
+
+
 def test_coefficients_from_mean_forces(case: Path) -> None:
     feeds = np.array([0.05, 0.1, 0.15, 0.2])
     depth_m, turns = 2e-3, 2 / (2.0 * math.pi)

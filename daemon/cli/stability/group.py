@@ -269,11 +269,13 @@ def choose(
     for warning in warnings:
         say(f"warning: {warning}")
     depth = finite_or_none(choice.limiting_depth_mm)
+    feed = None if feed_mm_min is None else feed_mm_min * choice.speed_rpm / programmed_rpm
+    pair = f"S{choice.speed_rpm:.0f}" + ("" if feed is None else f" F{feed:.0f}")
     words = "unlimited" if depth is None else f"{depth:.3g} mm"
-    say(f"S{choice.speed_rpm:.0f}: limiting depth {words}" if choice.stable else str(choice.alarm))
+    say(f"{pair}: limiting depth {words}" if choice.stable else str(choice.alarm))
     content = {
         "speed_rpm": choice.speed_rpm,
-        "feed_mm_min": None if feed_mm_min is None else feed_mm_min * choice.speed_rpm / programmed_rpm,
+        "feed_mm_min": feed,
         "limiting_depth_mm": depth,
         "pocket_rpm": list(choice.pocket_rpm),
         "stable": choice.stable,
