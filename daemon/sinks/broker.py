@@ -141,7 +141,7 @@ class Broker:
         """Hand over topic, content and whether it was retained of what comes, in the library's thread."""
 
         def handle(_client: Any, _data: Any, each: paho.MQTTMessage) -> None:
-            take(each.topic, bytes(each.payload), each.retain)
+            take(each._topic.decode("utf-8", "replace"), bytes(each.payload), each.retain)
             with self._told():
                 pass
 
@@ -226,7 +226,7 @@ class Broker:
 
     def _on_subscribe(self, _client: Any, _data: Any, _number: int, codes: list[ReasonCode], _properties: Any) -> None:
         with self._told():
-            self._granted = codes[0]
+            self._granted = next(iter(codes), None)
 
     @contextlib.contextmanager
     def _told(self) -> Iterator[None]:

@@ -3,6 +3,7 @@
 import itertools
 import json
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -25,10 +26,11 @@ from tidied_store import housekeeping
 
 from config.sample import sample_configuration
 from config.schema.service import HistoryConfig
-from config.schema.sinks import SinkConfig
+from config.schema.sinks import BrokerConfig, SinkConfig
 from daemon.history import HistoryWriter
 from daemon.history.cursors import Cursor, cursor_path
 from daemon.sinks.ahead import Ahead
+from daemon.sinks.broker import Broker, Message
 from daemon.sinks.contract import Progress, SinkError
 from daemon.sinks.current import current_values
 from daemon.sinks.discovery import BY_NAME
@@ -346,6 +348,45 @@ def test_no_more_waits_for_its_acknowledgement_than_the_broker_allows(tmp_path: 
     with strict_broker(receive_maximum=3) as broker:
         cursor = send(section(broker.port), store)
     assert cursor.problem == "" and 0 < broker.most <= 3
+
+
+CONNACK, GRANTED, NO_CODES = b"\x20\x03\x00\x00\x00", b"\x90\x04\x00\x01\x00\x01", b"\x90\x03\x00\x01\x00"
+TOPIC_OF_NO_TEXT = b"\x30\x06\x00\x02\xff\xfe\x00x"
+
+
+@pytest.mark.parametrize(
+    ("answer", "came"), [(NO_CODES, []), (GRANTED + TOPIC_OF_NO_TEXT, ["\ufffd\ufffd"])], ids=["no codes", "topic"]
+)
+def test_a_broker_that_breaks_its_protocol_ends_no_thread(
+    answer: bytes, came: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ended, topics = list[object](), list[str]()
+    monkeypatch.setattr(threading, "excepthook", ended.append)
+
+    def serve(listening: socket.socket) -> None:
+        connection, _ = listening.accept()
+        for each in (CONNACK, answer):
+            connection.recv(4096)
+            connection.sendall(each)
+        connection.recv(4096)
+        connection.close()
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        thread = threading.Thread(target=serve, args=(listening,))
+        thread.start()
+        config = BrokerConfig(host="127.0.0.1", port=listening.getsockname()[1], tls=False, timeout_s=1.0)
+        broker = Broker(config, "sink x", "someone")
+        broker.on_message(lambda topic, _payload, _retained: topics.append(topic))
+        broker.connect(Message(topic="state", payload=b"away"))
+        if came:
+            broker.subscribe("commands")
+            assert broker.comes(lambda: topics == came, PATIENCE_S)
+        else:
+            with pytest.raises(SinkError, match="sink x: no acknowledgement within `timeout_s`"):
+                broker.subscribe("commands")
+        broker.close()
+        thread.join()
+    assert ended == []
 
 
 def test_a_broker_that_ends_connections_in_the_middle_has_every_row(tmp_path: Path) -> None:
