@@ -32,6 +32,11 @@ class Instant:
     utc_s: float
     real_s: float
 
+    @property
+    def utc_ahead_s(self) -> float:
+        """How far the calendar is ahead of the monotonic clock [s]."""
+        return self.utc_s - self.monotonic_s
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trace:

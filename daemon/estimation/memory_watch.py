@@ -34,7 +34,7 @@ class MemoryWatch:
         self.kept, now_s = kept, self._clock.now().monotonic_s
         for name, each in kept.inputs.items():
             if name in self._inputs and len(each.degc) == len(self._places[name]):
-                self._inputs[name] = replace(each, since_s=min(each.since_s - self._to_utc_s(), now_s))
+                self._inputs[name] = replace(each, since_s=min(each.since_s - self._clock.now().utc_ahead_s, now_s))
 
     def take(self, name: str, degc: FloatArray, now_s: float) -> FloatArray:
         """Take the numbers of an input as they were read [degC]; return the latest ones of its sensors [degC]."""
@@ -44,7 +44,8 @@ class MemoryWatch:
             self._stood_since_s.setdefault(name, before.since_s)
         found = frozenset([*self._stood_since_s, *(each for each, of in self._inputs.items() if of.stands_s(now_s))])
         if found != self._found or now_s - self._kept_s >= KEPT_PERIOD_S:
-            known = {each: replace(of, since_s=of.since_s + self._to_utc_s()) for each, of in self._inputs.items()}
+            ahead_s = self._clock.now().utc_ahead_s
+            known = {each: replace(of, since_s=of.since_s + ahead_s) for each, of in self._inputs.items()}
             going_on = {each: of for each, of in self.kept.inputs.items() if each in self._stood_since_s}
             self._found, self._kept_s, self.kept = found, now_s, InputsRead(inputs=known | going_on)
         return now.degc
@@ -72,10 +73,6 @@ class MemoryWatch:
     def counts(self, name: str) -> None:
         """All values of an input that goes on count again."""
         del self._stood_since_s[name]
-
-    def _to_utc_s(self) -> float:
-        now = self._clock.now()
-        return now.utc_s - now.monotonic_s
 
 
 UNITS = {"degF": (1.8, 32.0), "K": (1.0, 273.15)}

@@ -60,7 +60,7 @@ class HistoryBackfill:
         self._documents, now = documents, clock.now()
         kept = documents.get(CalendarOfBoot)
         at_s, to_utc_s = (np.inf, 0.0) if kept is None else kept.to_utc_s[-1]
-        goes_on = at_s <= now.monotonic_s and abs(now.utc_s - now.monotonic_s - to_utc_s) <= STEPPED_S
+        goes_on = at_s <= now.monotonic_s and abs(now.utc_ahead_s - to_utc_s) <= STEPPED_S
         self._calendar = [*kept.to_utc_s] if kept is not None and goes_on else []
         """Since this computer's start, from when on [s], and UTC minus the monotonic clock then [s]."""
         self._note_calendar()
@@ -68,7 +68,7 @@ class HistoryBackfill:
     def _note_calendar(self) -> float:
         """Note how far the calendar is ahead of the monotonic clock; return by how much it was set [s]."""
         now = self._clock.now()
-        to_utc_s = now.utc_s - now.monotonic_s
+        to_utc_s = now.utc_ahead_s
         set_by_s = to_utc_s - self._calendar[-1][1] if self._calendar else np.inf
         if abs(set_by_s) <= STEPPED_S:
             return 0.0

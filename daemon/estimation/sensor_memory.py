@@ -247,7 +247,7 @@ class LevelMemory:
         self._store = StateStore(history, clock)
         self._sensor_ids = tuple(sensor_ids)
         self._clock = clock
-        self._kept, self._kept_to_utc_s = first_levels(len(self._sensor_ids)), self._to_utc_s()
+        self._kept, self._kept_to_utc_s = first_levels(len(self._sensor_ids)), self._clock.now().utc_ahead_s
         self._units = self._store.get(InOtherUnit) or InOtherUnit(units={}, degc={})
         self._inputs = self._store.get(InputsRead) or InputsRead(inputs={})
 
@@ -260,6 +260,7 @@ class LevelMemory:
             self._inputs = inputs
             self._store.put(inputs)
         before, self._kept = self._kept, levels
+        to_utc_s = self._clock.now().utc_ahead_s
         same = (
             levels.left is before.left,
             levels.uncertainty_k is before.uncertainty_k,
@@ -267,10 +268,10 @@ class LevelMemory:
             levels.shift_k is before.shift_k,
             levels.gaps is before.gaps,
             dict(levels.away_s) == dict(before.away_s),
-            abs(self._kept_to_utc_s - self._to_utc_s()) < 1.0,  # what is stored has its times by the calendar
+            abs(self._kept_to_utc_s - to_utc_s) < 1.0,  # what is stored has its times by the calendar
         )
         if not all(same):
-            self._kept_to_utc_s = self._to_utc_s()
+            self._kept_to_utc_s = to_utc_s
             self._store.put(self._document(levels))
 
     def excluded_before(self) -> dict[int, str]:
@@ -293,7 +294,7 @@ class LevelMemory:
         if kept is None:
             return levels
         place = {sensor_id: index for index, sensor_id in enumerate(self._sensor_ids)}
-        since_s = self._to_utc_s()
+        since_s = self._clock.now().utc_ahead_s
         shift_k, uncertainty_k, lasting_k = (np.zeros(len(place)) for _ in range(3))
         stored = (shift_k, kept.shift_k), (uncertainty_k, kept.uncertainty_k), (lasting_k, kept.lasting_k)
         for values, of_store in stored:
@@ -324,12 +325,8 @@ class LevelMemory:
             jumps=tuple((j.utc_s - since_s, place[j.sensor_id], j.jump_k) for j in kept.jumps if j.sensor_id in place),
         )
 
-    def _to_utc_s(self) -> float:
-        now = self._clock.now()
-        return now.utc_s - now.monotonic_s
-
     def _document(self, levels: SensorLevels) -> SensorLevelsDocument:
-        since_s = self._to_utc_s()
+        since_s = self._clock.now().utc_ahead_s
         moments: dict[int, tuple[Left, list[int]]] = {}
         for index, then in levels.left.items():
             moments.setdefault(id(then), (then, []))[1].append(self._sensor_ids[index])

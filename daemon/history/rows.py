@@ -69,7 +69,7 @@ def utc_ms(instant: Instant) -> int:
 
 def _times(instant: Instant) -> tuple[int, int]:
     # One rounding for both, so that their difference stays the same number for the packing.
-    return utc_ms(instant), utc_ms(instant) - round((instant.utc_s - instant.monotonic_s) * 1e3)
+    return utc_ms(instant), utc_ms(instant) - round(instant.utc_ahead_s * 1e3)
 
 
 def _mapping(keys: Iterable[str], values: Iterable[float], decimals: int | None = None) -> str:

@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from contextlib import asynccontextmanager
 
 import numpy as np
 import pytest
@@ -228,8 +229,9 @@ async def test_an_estimate_of_another_reference_moves_nothing(rig, bench):
     assert rig.applied["z"] == pytest.approx(5.0, abs=0.11)
 
 
-async def test_the_loop_polls_ticks_writes_and_survives_a_defect(tmp_path):
-    configuration = machine(tmp_path)
+@asynccontextmanager
+async def looping(configuration):
+    """The control task in its own loop by the computer's clock, a reference set and the Z axis switched on."""
     clock = SystemClock()
     nc = MemoryNc(configuration, clock)
     async with running(Rig(configuration, nc, clock, record=record_for(configuration))) as rig:
@@ -239,20 +241,26 @@ async def test_the_loop_polls_ticks_writes_and_survives_a_defect(tmp_path):
             rig.set_reference()
             await until(lambda: rig.control.reference is not None)
             rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
-            rig.control.deliver(rig.estimate(0.0, 0.0))
-            await until(lambda: rig.state == "ACTIVE")
-            assert rig.control.writer.counts["verified"] > 0
-            ticks = rig.ticks
-            nc.breaks = RuntimeError("made up")
-            await until(lambda: rig.state == "FAULT")
-            await until(lambda: rig.ticks > ticks + 1)
-            assert not task.done()
-            rig.control.stop()
-            async with asyncio.timeout(10):
-                await task
+            yield rig, nc, task
         finally:
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)
+
+
+async def test_the_loop_polls_ticks_writes_and_survives_a_defect(tmp_path):
+    configuration = machine(tmp_path)
+    async with looping(configuration) as (rig, nc, task):
+        rig.control.deliver(rig.estimate(0.0, 0.0))
+        await until(lambda: rig.state == "ACTIVE")
+        assert rig.control.writer.counts["verified"] > 0
+        ticks = rig.ticks
+        nc.breaks = RuntimeError("made up")
+        await until(lambda: rig.state == "FAULT")
+        await until(lambda: rig.ticks > ticks + 1)
+        assert not task.done()
+        rig.control.stop()
+        async with asyncio.timeout(10):
+            await task
 
 
 async def test_a_refusal_behind_a_reference_does_not_hide_that_the_echo_is_looked_at_first(rig):
@@ -309,23 +317,12 @@ async def test_a_defect_at_the_tick_is_a_fault_and_the_loop_goes_on(tmp_path):
 async def test_an_estimate_is_written_without_waiting_for_the_next_tick(tmp_path):
     """The tick is a minute here: only the estimate itself can cause the write."""
     configuration = machine(tmp_path, tick_s=60.0, validity_s=100.0)
-    clock = SystemClock()
-    nc = MemoryNc(configuration, clock)
-    async with running(Rig(configuration, nc, clock, record=record_for(configuration))) as rig:
-        task = asyncio.create_task(rig.control.run())
-        try:
-            await until(lambda: rig.control.memory is not None)
-            rig.set_reference()
-            await until(lambda: rig.control.reference is not None)
-            rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
-            for _ in range(3):
-                rig.control.deliver(rig.estimate(0.0, -5.0))
-                writes = rig.control.writer.counts["verified"]
-                await until(lambda writes=writes: rig.control.writer.counts["verified"] > writes, 20.0)
-            assert rig.state == "ACTIVE"
-        finally:
-            task.cancel()
-            await asyncio.gather(task, return_exceptions=True)
+    async with looping(configuration) as (rig, nc, task):
+        for _ in range(3):
+            rig.control.deliver(rig.estimate(0.0, -5.0))
+            writes = rig.control.writer.counts["verified"]
+            await until(lambda writes=writes: rig.control.writer.counts["verified"] > writes, 20.0)
+        assert rig.state == "ACTIVE"
 
 
 async def test_a_reference_begins_where_the_guard_went_since_the_last_poll(tmp_path):
@@ -333,27 +330,16 @@ async def test_a_reference_begins_where_the_guard_went_since_the_last_poll(tmp_p
     configuration = machine(tmp_path, tick_s=60.0, validity_s=100.0)
     rarely = configuration.cnc.model_copy(update={"poll_period_s": 60.0})
     configuration = configuration.model_copy(update={"cnc": rarely})
-    clock = SystemClock()
-    nc = MemoryNc(configuration, clock)
-    async with running(Rig(configuration, nc, clock, record=record_for(configuration))) as rig:
-        task = asyncio.create_task(rig.control.run())
-        try:
-            await until(lambda: rig.control.memory is not None)
-            rig.set_reference()
-            await until(lambda: rig.control.reference is not None)
-            rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
-            while rig.state != "ACTIVE" or nc.macros.get(Z) < 0.0002:
-                await wrote_after(rig, rig.estimate(0.0, -5.0))
-            nc.safe_point()
-            assert rig.applied["z"] >= 0.2
-            rig.set_reference("r2")
-            await until(lambda: rig.control.reference.reference_id == "r2")
-            await wrote_after(rig, rig.estimate(0.0, 0.0))
-            assert rig.control.memory.reference_id == "r2"
-            assert nc.macros.get(Z) * 1000 == pytest.approx(rig.applied["z"], abs=1e-6)
-        finally:
-            task.cancel()
-            await asyncio.gather(task, return_exceptions=True)
+    async with looping(configuration) as (rig, nc, task):
+        while rig.state != "ACTIVE" or nc.macros.get(Z) < 0.0002:
+            await wrote_after(rig, rig.estimate(0.0, -5.0))
+        nc.safe_point()
+        assert rig.applied["z"] >= 0.2
+        rig.set_reference("r2")
+        await until(lambda: rig.control.reference.reference_id == "r2")
+        await wrote_after(rig, rig.estimate(0.0, 0.0))
+        assert rig.control.memory.reference_id == "r2"
+        assert nc.macros.get(Z) * 1000 == pytest.approx(rig.applied["z"], abs=1e-6)
 
 
 async def wrote_after(rig, estimate):

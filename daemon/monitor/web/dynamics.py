@@ -26,7 +26,7 @@ def dynamics_document(board: SnapshotBoard, clock: Clock) -> dict[str, Any] | No
         },
     }
     if diagram is not None:
-        shift_s = now.utc_s - now.monotonic_s
+        shift_s = now.utc_ahead_s
         document["lobes"] = {"speed_rpm": diagram.speed_rpm, "limiting_depth_mm": diagram.limiting_depth_mm}
         document["response"] = {
             "frequency_hz": diagram.frequency_hz,

@@ -85,7 +85,8 @@ _SEAT_W_PER_K = 3.43
 """What a seat conducts beyond its linear part when the housing is much warmer (tuned) [W/K]."""
 
 
-def _vector(shares: dict[str, float]) -> FloatArray:
+def per_node(shares: dict[str, float]) -> FloatArray:
+    """Return a number for each node, 0 where none is given."""
     vector = np.zeros(len(NODES))
     for name, share in shares.items():
         vector[INDEX[name]] = share
@@ -100,12 +101,14 @@ class HeatSources:
         self._watts = watts
         self._set_degc = chiller_set_degc
         self._powered = (
-            _vector(_HOLDING) * watts["holding_motors"]
-            + _vector({"stator": watts["stator_standstill"]})
-            + _vector({"air_low": 0.4, "air_high": 0.6}) * watts["enclosure"]
+            per_node(_HOLDING) * watts["holding_motors"]
+            + per_node({"stator": watts["stator_standstill"]})
+            + per_node({"air_low": 0.4, "air_high": 0.6}) * watts["enclosure"]
         )
-        self._feeding = _vector(_FEED_MOTORS) * watts["feed_motors"] + _vector(_FEED_FRICTION) * watts["feed_friction"]
-        self._cubic = _vector(
+        self._feeding = (
+            per_node(_FEED_MOTORS) * watts["feed_motors"] + per_node(_FEED_FRICTION) * watts["feed_friction"]
+        )
+        self._cubic = per_node(
             {
                 "shaft_front": 0.75 * watts["front_drag"],
                 "bearing_front": 0.25 * watts["front_drag"],

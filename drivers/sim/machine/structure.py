@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.sim.machine.day import Day
-from drivers.sim.machine.heat import INDEX
-from drivers.sim.machine.parameters import NODES
+from drivers.sim.machine.heat import INDEX, per_node
 from models.records import FloatArray
 
 CHANNELS = ("X", "Y1", "Y2", "Z1", "Z2", "Z3")
@@ -148,13 +147,6 @@ def _of(warm: FloatArray, name: str) -> float:
     return float(warm[INDEX[name]])
 
 
-def _weights(shares: dict[str, float]) -> FloatArray:
-    vector = np.zeros(len(NODES))
-    for name, share in shares.items():
-        vector[INDEX[name]] = share
-    return vector
-
-
 _AXIAL = {"rear": 0.1, "middle": 0.3, "front": 0.6}
-_CAST_LOWER = _weights({f"cast_{where}_bottom": weight for where, weight in _AXIAL.items()})
-_CAST_UPPER = _weights({f"cast_{where}_top": weight for where, weight in _AXIAL.items()})
+_CAST_LOWER = per_node({f"cast_{where}_bottom": weight for where, weight in _AXIAL.items()})
+_CAST_UPPER = per_node({f"cast_{where}_top": weight for where, weight in _AXIAL.items()})
