@@ -33,7 +33,7 @@ logging.getLogger("mqtt").setLevel(logging.CRITICAL + 1)  # what matters is rais
 class MqttSource(PushedSource):
     """Subscribes to the sensors' topics; the newest number of each sensor within a cycle period makes the cycle.
 
-    A retained message is the last word of nobody knows when, and does not count.
+    A retained message is of unknown age, and does not count.
     """
 
     def __init__(self, source: SourceEntry, clock: Clock) -> None:

@@ -67,13 +67,13 @@ class PushedSource(RowSource):
     def put(self, key: int | str, reading: float | NoReading) -> None:
         """Take one sensor's number; those of one cycle period make a cycle, the newest of each sensor.
 
-        Many at once make one cycle too: they are of nobody knows when, but for the newest.
+        Many at once make one cycle too: their age is not known, but for that of the newest.
         """
         self._begin_set()
         self._single[key] = self._maker.of_one_device(key, reading)
 
     def put_set(self, readings: Readings) -> None:
-        """Take one number of each sensor that has one, of nobody knows when: of many at once the newest count."""
+        """Take one number of each sensor that has one, of unknown age: of many at once the newest count."""
         self._begin_set()
         self._set = readings
 

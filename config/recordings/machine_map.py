@@ -86,7 +86,7 @@ def load_machine_map(path: Path, recordings: Sequence[Path]) -> tuple[MachineFil
                 refuse(name, "recordings", f"{again}: what is left out must not be known from elsewhere; give it once")
         configuration, columns = entry.configuration or one.configuration, entry.map or one.map
         if configuration is None:
-            refuse(name, "configuration", "names none, so nobody knows where its sensors sit; name its toolpoint.yaml")
+            refuse(name, "configuration", "names none, so where its sensors sit is not known; name its toolpoint.yaml")
             continue
         found.append(
             MachineFiles(

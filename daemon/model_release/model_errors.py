@@ -68,7 +68,7 @@ def measured_errors(
 ) -> list[MeasuredError]:
     """Return what was measured in a time, in its order; `um_per_unit`: see `commissioned_um_per_unit`.
 
-    `unjudged` counts what cannot be judged because nobody knows where an axis with a slope stood: axis, and why.
+    `unjudged` counts what cannot be judged because it is not known where an axis with a slope stood: axis, and why.
     """
     unjudged, sloped = Counter() if unjudged is None else unjudged, sloped_axes(configuration)
     found = _of_probes(configuration, reader, um_per_unit, from_utc_s, to_utc_s, unjudged)

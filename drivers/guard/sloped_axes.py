@@ -34,7 +34,7 @@ class SlopedAxis:
 
     @property
     def places_unread(self) -> str:
-        """Return why nobody knows where the axis stands, '' where its position is read."""
+        """Return why it is not known where the axis stands, '' where its position is read."""
         if self.position is not None:
             return ""
         return (

@@ -73,7 +73,7 @@ def test_a_type_is_learned_and_told_on_machines_that_were_left_out(fleet: Path) 
             "machines.b.recordings: day01.csv is a recording of a already",
         ),
         ({"machines": {"a": {"recordings": ["m1/*.csv"]}}}, "no machine has the recording day01.csv"),
-        ({"configuration": None}, "machines.mill-1.configuration: names none, so nobody knows where its sensors sit"),
+        ({"configuration": None}, "machines.mill-1.configuration: names none, so where its sensors sit is not known"),
         ({"machines": {"a": {"recordings": ["m*/*.csv"]}}}, "machine a: a type is learned from two machines at least"),
         ({"machines": {}}, "machines"),
     ],
