@@ -184,19 +184,9 @@ def unshifted(
 
     What a sensor was read as within a gap is NaN, and so is a mean that holds some of that, or two of its levels.
 
-    Parameters
-    ----------
-    levels
-        Of now.
-    time_s
-        On the clock of the cycles [s].
-    degc : shape (n_sensors,)
-        As they were read [degC].
-    until_s
-        The later time: what has jumped until then is told as if it had always been there [s].
-    mean_s
-        They are means over so long until `time_s` [s].
-
+    `time_s`: on the clock of the cycles [s]. `degc`, shape (n_sensors,): as they were read [degC]. `until_s`: the later
+    time: what has jumped until then is told as if it had always been there [s]. `mean_s`: they are means over so long
+    until `time_s` [s].
     """
     shift_k = levels.shift_k
     if levels.changes:

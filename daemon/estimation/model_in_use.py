@@ -34,19 +34,8 @@ Answer = tuple[Estimation, Reference]
 class ModelInUse:
     """One model in use; owned by the thermal task. Axis positions come behind the machine's temperatures in its order.
 
-    Parameters
-    ----------
-    model
-        Of whatever family.
-    sensor_ids
-        Of the machine's sensors, in its order.
-    machine
-        Their components and steps.
-    positions
-        Names of the axis positions that follow the temperatures.
-    history
-        Reads the store.
-
+    `model`: of whatever family. `sensor_ids`: of the machine's sensors, in its order. `machine`: their components and
+    steps. `positions`: names of the axis positions that follow the temperatures. `history`: reads the store.
     """
 
     def __init__(

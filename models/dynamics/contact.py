@@ -82,17 +82,8 @@ def identify_contact(
 
     Raises IdentificationError when the data cannot be fitted at all.
 
-    Parameters
-    ----------
-    interface
-        What stands on either side.
-    measured
-        Receptance at the front of what is in front [m/N], shape (n,).
-    start
-        Where to begin, by name.
-    method
-        `lm`, or `nelder-mead` on the dissertation's cost.
-
+    `interface`: what stands on either side. `measured`: receptance at the front of what is in front [m/N], shape (n,).
+    `start`: where to begin, by name. `method`: `lm`, or `nelder-mead` on the dissertation's cost.
     """
     begin = {**INITIAL, **(start or {})}
     free = list(CONTACT)

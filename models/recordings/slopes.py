@@ -23,19 +23,10 @@ def offset_and_slope(
 
     Raises DatasetError where that is so in every row.
 
-    Parameters
-    ----------
-    time_s : shape (n,)
-        Increasing times [s].
-    position_mm : shape (n,)
-        Position of the axis [mm], NaN where it is not known.
-    displacement_um : shape (n,)
-        What was measured there [um], NaN where missing.
-    pivot_mm
-        Where the slope adds nothing [mm].
-    pass_s
-        Time in which the axis comes to all positions and back [s]; what the machine grows in it is averaged.
-
+    `time_s`, shape (n,): increasing times [s]. `position_mm`, shape (n,): position of the axis [mm], NaN where it is
+    not known. `displacement_um`, shape (n,): what was measured there [um], NaN where missing. `pivot_mm`: where the
+    slope adds nothing [mm]. `pass_s`: time in which the axis comes to all positions and back [s]; what the machine
+    grows in it is averaged.
     """
     known = np.isfinite(position_mm) & np.isfinite(displacement_um)
     x_m = np.where(known, (position_mm - pivot_mm) * 1e-3, 0.0)

@@ -106,18 +106,9 @@ def judge_frame(
     Result: with the strongest line that is not forced, whether it counts or not. Raises StabilityError when the tooth
     passing is above half the sampling rate.
 
-    Parameters
-    ----------
-    frame
-        Its spectrum.
-    speed_rpm
-        Spindle speed [1/min], to within the tolerance.
-    teeth
-        Number of teeth.
-    machine
-        What the machine has without this cut, from `models.stability.spectra`, shape (n,); None when that is not
-        known.
-
+    `frame`: its spectrum. `speed_rpm`: spindle speed [1/min], to within the tolerance. `teeth`: number of teeth.
+    `machine`: what the machine has without this cut, from `models.stability.spectra`, shape (n,); None when that is not
+    known.
     """
     spacing_hz = float(frame.frequency_hz[1])
     passing_hz = _passing_hz(frame, speed_rpm * teeth / 60.0)
@@ -324,17 +315,8 @@ def detect_chatter(
     Result: chatter or not, its frequency, and every frame. Raises StabilityError when the recording is too short or
     clipped, or the tooth passing beyond its reach.
 
-    Parameters
-    ----------
-    acceleration_m_s2
-        Shape (n,) [m/s^2].
-    sample_rate_hz
-        Samples per second [Hz].
-    speed_rpm
-        Spindle speed [1/min].
-    teeth
-        Number of teeth.
-
+    `acceleration_m_s2`: shape (n,) [m/s^2]. `sample_rate_hz`: samples per second [Hz]. `speed_rpm`: spindle speed
+    [1/min]. `teeth`: number of teeth.
     """
     check_length(len(acceleration_m_s2), sample_rate_hz, window_samples(sample_rate_hz))
     check_clipping(acceleration_m_s2)

@@ -91,19 +91,9 @@ def spectral_radii(
     Result: shape (n,); inf where the vibration grows beyond all numbers. Raises StabilityError when nothing can move,
     the speed or a depth is not above 0, or a mode vibrates too often from tooth to tooth.
 
-    Parameters
-    ----------
-    response
-        Modes of the structure, in machine axes.
-    cut
-        Engagement and cutting coefficients.
-    feed_deg
-        Direction of the feed against X [deg].
-    speed_rpm
-        Spindle speed [1/min].
-    depths_mm
-        Axial depths of cut [mm], shape (n,).
-
+    `response`: modes of the structure, in machine axes. `cut`: engagement and cutting coefficients. `feed_deg`:
+    direction of the feed against X [deg]. `speed_rpm`: spindle speed [1/min]. `depths_mm`: axial depths of cut [mm],
+    shape (n,).
     """
     depths = np.asarray(depths_mm, dtype=np.float64)
     if not (speed_rpm > 0.0 and bool(np.all(depths > 0.0))):

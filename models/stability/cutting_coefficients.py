@@ -171,19 +171,9 @@ def fit_mean_forces(
     Result: coefficients and residual. Raises StabilityError with fewer than two feeds, forces that are no numbers, or a
     tangential coefficient that is not positive.
 
-    Parameters
-    ----------
-    cut
-        Engagement and teeth; its coefficients are not used.
-    depth_mm
-        Axial depth of cut [mm].
-    feed_per_tooth_mm
-        Shape (n,) [mm], at least two different feeds.
-    mean_force_x_n, mean_force_y_n
-        Mean force on the tool along the feed and normal to it [N], shape (n,).
-    material
-        Name of the result.
-
+    `cut`: engagement and teeth; its coefficients are not used. `depth_mm`: axial depth of cut [mm].
+    `feed_per_tooth_mm`: shape (n,) [mm], at least two different feeds. `mean_force_x_n`, `mean_force_y_n`: mean force
+    on the tool along the feed and normal to it [N], shape (n,). `material`: name of the result.
     """
     feeds = np.asarray(feed_per_tooth_mm, dtype=np.float64)
     if len(np.unique(feeds)) < 2:

@@ -53,19 +53,9 @@ def zeroth_order_lobes(
     Result: the lower envelope and its exact minimum. Raises StabilityError when the range is none, the FRF does not
     cover the tooth-passing band or holds a value that is not finite, or nothing can chatter.
 
-    Parameters
-    ----------
-    response
-        Receptance at the tool point in machine axes.
-    cut
-        Engagement and cutting coefficients.
-    from_rpm, to_rpm
-        Range of speeds [1/min].
-    points
-        Number of evenly spaced speeds.
-    feed_deg
-        Direction of the feed against X [deg].
-
+    `response`: receptance at the tool point in machine axes. `cut`: engagement and cutting coefficients. `from_rpm`,
+    `to_rpm`: range of speeds [1/min]. `points`: number of evenly spaced speeds. `feed_deg`: direction of the feed
+    against X [deg].
     """
     return _lobes(response, cut, (from_rpm, to_rpm, points), (feed_deg,))
 

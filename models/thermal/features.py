@@ -134,19 +134,8 @@ def feature_table(
 ) -> FloatArray:
     """Return temperatures, their lags and lagged speed of one run, shape (n, layout.columns).
 
-    Parameters
-    ----------
-    layout
-        Which columns.
-    time_min : shape (n,)
-        Increasing times [min].
-    degc : shape (n, n_sensors)
-        Temperatures [degC], finite.
-    speed_rpm : shape (n,)
-        Spindle speed [1/min], finite.
-    scale_rpm
-        Speed that becomes 1 [1/min].
-
+    `layout`: which columns. `time_min`, shape (n,): increasing times [min]. `degc`, shape (n, n_sensors): temperatures
+    [degC], finite. `speed_rpm`, shape (n,): spindle speed [1/min], finite. `scale_rpm`: speed that becomes 1 [1/min].
     """
     lagged = lag_table(time_min, degc, layout.lags_min)
     speed = lag_table(time_min, speed_inputs(speed_rpm, scale_rpm), layout.speed_lags_min)

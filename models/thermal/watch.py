@@ -275,19 +275,9 @@ class Watcher:
         Result: with what was found so far; an excluded sensor stays excluded. While no sensor has a value the watch
         waits, and then goes straight through the gap.
 
-        Parameters
-        ----------
-        state
-            Before it.
-        time_min
-            Its time [min], on the clock of the state.
-        degc : shape (n_sensors,)
-            Temperatures [degC], NaN where missing.
-        speed_rpm
-            Spindle speed [1/min]; NaN repeats the last one.
-        find_faults
-            Whether sensors may be excluded; False while the watch only fills its memory.
-
+        `time_min`: its time [min], on the clock of the state. `degc`, shape (n_sensors,): temperatures [degC], NaN
+        where missing. `speed_rpm`: spindle speed [1/min]; NaN repeats the last one. `find_faults`: whether sensors may
+        be excluded; False while the watch only fills its memory.
         """
         elapsed_min = time_min - state.time_min
         if elapsed_min <= 0.0 or not np.isfinite(degc).any():

@@ -77,17 +77,9 @@ def minute_series(
 
     Raises IdentificationError when no minute is left.
 
-    Parameters
-    ----------
-    response_min
-        Times of the responses [min], ascending, shape (k,).
-    values
-        Identified properties, shape (k, p).
-    recorded_min
-        Times of the recording [min], shape (n,).
-    recorded_degc
-        Temperatures of the signals [degC], NaN where unknown, shape (n, m).
-
+    `response_min`: times of the responses [min], ascending, shape (k,). `values`: identified properties, shape (k, p).
+    `recorded_min`: times of the recording [min], shape (n,). `recorded_degc`: temperatures of the signals [degC], NaN
+    where unknown, shape (n, m).
     """
     grid = minute_grid(response_min)
     at = np.stack([np.interp(grid, response_min, column) for column in values.T], axis=1)
@@ -220,19 +212,9 @@ def solve(table: FloatArray, target: FloatArray, signals: int, ridge: float, *, 
     signal itself, and on the changes: where the campaign hardly moved them, as the level of all temperatures at once,
     the regression then says nothing, in place of something arbitrary.
 
-    Parameters
-    ----------
-    table
-        Explanatory variables, shape (n, 1 + 3 signals) or (n, 1 + signals).
-    target
-        Shape (n,).
-    signals
-        Number of temperatures.
-    ridge
-        Penalty beside the variances [K^2]; 0: least squares, as the dissertation.
-    squares
-        False leaves the squares out; their coefficients are 0.
-
+    `table`: explanatory variables, shape (n, 1 + 3 signals) or (n, 1 + signals). `target`: shape (n,). `signals`:
+    number of temperatures. `ridge`: penalty beside the variances [K^2]; 0: least squares, as the dissertation.
+    `squares`: False leaves the squares out; their coefficients are 0.
     """
     count = table.shape[1] - 1
     turn = np.eye(count)

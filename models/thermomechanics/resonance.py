@@ -116,20 +116,11 @@ class ResonanceFollower:
 
         Raises IdentificationError when there is none.
 
-        Parameters
-        ----------
-        frequency_hz
-            Evenly spaced [Hz], shape (n,).
-        receptance
-            Response of the structure at these frequencies.
-        start
-            Bearing parameters at which the resonance is chosen; after a loss it is followed anew from here.
-        near_hz
-            The resonance nearest to this is followed [Hz]; None: the highest.
-        on_the_way
-            Responses of several sets of parameters at once, in a band and possibly at fewer frequencies, for the
-            steps on the way; None: `receptance`, one by one.
-
+        `frequency_hz`: evenly spaced [Hz], shape (n,). `receptance`: response of the structure at these frequencies.
+        `start`: bearing parameters at which the resonance is chosen; after a loss it is followed anew from here.
+        `near_hz`: the resonance nearest to this is followed [Hz]; None: the highest. `on_the_way`: responses of several
+        sets of parameters at once, in a band and possibly at fewer frequencies, for the steps on the way; None:
+        `receptance`, one by one.
         """
         self.frequency_hz = frequency_hz
         self._receptance = receptance

@@ -57,19 +57,9 @@ def select_signals(
     Signals are taken in the order of their mean absolute correlation with the properties; one that is like a signal
     taken before joins its group.
 
-    Parameters
-    ----------
-    candidates
-        Names of the signals.
-    degc
-        Their temperatures [degC], shape (n, m).
-    properties
-        Names of the properties.
-    values
-        Shape (n, p), SI units; None with `crosscorrelation`.
-    crosscorrelation
-        Coefficients between signals and properties, shape (m, p), where they are known already.
-
+    `candidates`: names of the signals. `degc`: their temperatures [degC], shape (n, m). `properties`: names of the
+    properties. `values`: shape (n, p), SI units; None with `crosscorrelation`. `crosscorrelation`: coefficients between
+    signals and properties, shape (m, p), where they are known already.
     """
     auto = correlation(degc, degc)
     if crosscorrelation is not None:

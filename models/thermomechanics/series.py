@@ -53,19 +53,10 @@ def identify_series(
 
     Raises IdentificationError when a response cannot be fitted at all.
 
-    Parameters
-    ----------
-    shaft
-        The shaft, condensed at the frequencies of the responses.
-    responses
-        Receptances at the nose [m/N], each of shape (n,), in the order of their times.
-    time_min
-        Times [min], shape (len(responses),), ascending.
-    kept
-        The parameters that are not varied, with their values.
-    smaller
-        The same responses identified with fewer parameters, where each of them begins.
-
+    `shaft`: the shaft, condensed at the frequencies of the responses. `responses`: receptances at the nose [m/N], each
+    of shape (n,), in the order of their times. `time_min`: times [min], shape (len(responses),), ascending. `kept`: the
+    parameters that are not varied, with their values. `smaller`: the same responses identified with fewer parameters,
+    where each of them begins.
     """
     names = tuple(name for name in parameters_of(shaft.groups) if name not in kept)
     found: list[Identified] = []

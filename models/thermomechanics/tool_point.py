@@ -208,19 +208,10 @@ class ToolPointTracker:
 
         Raises ValueError when an axis has no regression, or a signal no sensor.
 
-        Parameters
-        ----------
-        model
-            Regressions per axis; those of axes without an assembly are not used.
-        assemblies
-            Axis -> spindle, holder and tool along it.
-        labels
-            Label -> indices into the machine's sensor order, whose mean is the signal.
-        frequency_hz
-            Evenly spaced [Hz], shape (n,); None: those of the dissertation.
-        near_hz
-            Axis -> the resonance nearest to this is followed [Hz]; without: the highest.
-
+        `model`: regressions per axis; those of axes without an assembly are not used. `assemblies`: axis -> spindle,
+        holder and tool along it. `labels`: label -> indices into the machine's sensor order, whose mean is the signal.
+        `frequency_hz`: evenly spaced [Hz], shape (n,); None: those of the dissertation. `near_hz`: axis -> the
+        resonance nearest to this is followed [Hz]; without: the highest.
         """
         if missing := sorted(set(assemblies) - set(model.axes)):
             raise ValueError(f"the model {model.model_id} holds no regression for axis {', '.join(missing)}")

@@ -120,19 +120,9 @@ def compensated_um(
     and then goes back to zero, from where a person switches it on again when the estimate may be followed. A probe
     corrects the output as `models.thermal.bias` says; what the estimate says since then comes on top.
 
-    Parameters
-    ----------
-    followed
-        The model on these rows.
-    time_min : shape (n,)
-        Their times [min].
-    measured_um : shape (n, n_channels)
-        Thermal error since the reference [um], which the probe sees; NaN where missing.
-    probe_min
-        Time between two probes [min]; None for none.
-    bias_filter
-        How a probe corrects; None resets the offset fully.
-
+    `followed`: the model on these rows. `time_min`, shape (n,): their times [min]. `measured_um`, shape (n,
+    n_channels): thermal error since the reference [um], which the probe sees; NaN where missing. `probe_min`: time
+    between two probes [min]; None for none. `bias_filter`: how a probe corrects; None resets the offset fully.
     """
     weight = np.clip((followed.confidence - NO_WEIGHT) / (FULL_WEIGHT - NO_WEIGHT), 0.0, 1.0)
     follows = (followed.confidence >= NO_WEIGHT) & followed.in_domain

@@ -38,19 +38,10 @@ def probed_residual_um(
 
     Result of shape (n, n_channels): a probe holds from the row in which it is taken.
 
-    Parameters
-    ----------
-    time_min : shape (n,)
-        Times [min]; the reference is the first of them.
-    residual_um : shape (n, n_channels)
-        Measured minus estimated without probing [um], NaN where missing.
-    probe_min
-        Time between two probes [min]; or increasing times of probes since the first row [min], shape (n_probes,).
-    bias_filter
-        How a probe corrects; None resets the offset fully.
-    noise_um : shape (n, n_channels)
-        Error of a probe at each row [um]; None for none.
-
+    `time_min`, shape (n,): times [min]; the reference is the first of them. `residual_um`, shape (n, n_channels):
+    measured minus estimated without probing [um], NaN where missing. `probe_min`: time between two probes [min]; or
+    increasing times of probes since the first row [min], shape (n_probes,). `bias_filter`: how a probe corrects; None
+    resets the offset fully. `noise_um`, shape (n, n_channels): error of a probe at each row [um]; None for none.
     """
     bias_filter = bias_filter or full_reset(residual_um.shape[1])
     state = bias_filter.begin(float(time_min[0]))
