@@ -29,7 +29,7 @@ from daemon.history.database import connect_writer
 from daemon.history.layout import MachineLayout
 from daemon.history.reader import TABLES
 from daemon.history.writer import HistoryWriter
-from daemon.model_release.bearing_loading import load_released_bearings
+from daemon.model_release.bearings import load_released_bearings
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import load_released, read_model
 from drivers.opcua.cnc import node_map
