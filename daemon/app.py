@@ -148,7 +148,6 @@ class Daemon:
         self._service_manager = ServiceManager()
         self.acknowledged: dict[str, int] = {}
         """Line -> number of its last committed cycle."""
-        self._history_problem = ""
         self._history = HistoryWriter(
             configuration.history.path,
             clock=clock,
@@ -338,7 +337,7 @@ class Daemon:
         self._publish_output()
         self._publish_links()
         self.snapshots.jobs = job_snapshots(self._history, self._jobs)
-        self.snapshots.history = HistorySnapshot(acknowledged=dict(self.acknowledged), problem=self._history_problem)
+        self.snapshots.history = HistorySnapshot(acknowledged=dict(self.acknowledged), problem=self._history.problem)
         self._last_block.follow(self._history, begun=self.control.memory is not None)
 
     def _publish_links(self) -> None:
@@ -387,4 +386,3 @@ class Daemon:
         if problem:
             log.error("history.problem", problem=problem)
             self._telemetry.history_problem()
-        self._history_problem = problem  # this is the store's thread: the next tick publishes it

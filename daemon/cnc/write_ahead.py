@@ -70,7 +70,7 @@ class WriteAheadRecord:
 
     def follow(self, history: HistoryWriter, *, begun: bool) -> None:
         """Keep whether the store lacks anything; what it lacks of the run before counts until the output has begun."""
-        behind = history.behind
+        behind = bool(history.problem)
         if behind:
             self._caught_up = None
         elif self.behind:

@@ -147,12 +147,12 @@ class HistoryWriter:
     @property
     def problem(self) -> str:
         """What keeps the store from being written, in words; empty when nothing does."""
+        if time.monotonic() - self._engine.attempted_s > STUCK_S:
+            return (
+                f"{self.path}: the disk has not answered for {STUCK_S:g} s. Records wait in memory and are written "
+                "when it does; compensation goes on"
+            )
         return self._engine.problem
-
-    @property
-    def behind(self) -> bool:
-        """The store cannot be written, or its disk has not answered for long."""
-        return bool(self.problem) or time.monotonic() - self._engine.attempted_s > STUCK_S
 
     # --- measurements --------------------------------------------------------------------
 

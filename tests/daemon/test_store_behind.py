@@ -148,7 +148,7 @@ async def test_a_store_that_has_got_everything_after_all_is_gone_on_with(bench: 
         assert rig.state == "ACTIVE"
 
 
-async def test_a_disk_that_does_not_answer_leaves_the_store_behind_too(
+async def test_a_disk_that_does_not_answer_is_said_and_leaves_the_store_behind_too(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers = threading.Event()
@@ -156,11 +156,11 @@ async def test_a_disk_that_does_not_answer_leaves_the_store_behind_too(
         monkeypatch.setattr(writer, "STUCK_S", 0.05)
         rig.history.submit(lambda _connection: answers.wait(FOREVER_S))
         rig.alive()
-        await until(lambda: rig.history.behind)
+        await until(lambda: "the disk has not answered for" in rig.history.problem)
         rig.alive()
         assert rig.last_block.behind and WriteAheadRecord.beside(rig.history.path).behind
         answers.set()
-        await until(lambda: not rig.history.behind)
+        await until(lambda: not rig.history.problem)
 
 
 async def test_what_the_cnc_holds_and_no_record_explains_is_no_restart_to_go_on_from(bench: Bench) -> None:
