@@ -58,6 +58,7 @@ class ModelInUse:
         self._history = history
         self.waits = "it was released just now"
         """Why it does not make the estimates yet, where another does; '' when nothing stands against it."""
+        self._speed_known = True
         give_memory_back()  # of reading the file and of preparing the model
 
     def prepare(self, now_s: float) -> None:
@@ -82,6 +83,7 @@ class ModelInUse:
 
     def on_sample(self, now_s: float, degc: FloatArray, speed_rpm: float) -> None:
         """Take the means of the last minute: temperatures [degC] and spindle speed [1/min], NaN where unknown."""
+        self._speed_known = bool(np.isfinite(speed_rpm))
         self._online.on_sample(now_s / 60.0, degc[self._inputs], speed_rpm)
 
     def jumped(self, jump_k: FloatArray) -> None:
@@ -185,10 +187,12 @@ class ModelInUse:
         if known >= least:
             return ""
         needed_h = self._online.history_min / 60.0
+        remedy = "wait, and leave the daemon running, then position the work again"
+        if not self._speed_known and "speed" in self._online.inputs:
+            remedy = "the control gives no spindle speed: see `toolpoint cnc probe`, or train without it in the map"
         return (
             f"the states of model {self.model.model_id} stand for the last {needed_h:.1f} h of {self._online.inputs}, "
-            f"of which too little is known (confidence {known:.2f}, {least:g} is needed); wait, and leave the daemon "
-            "running, then position the work again"
+            f"of which too little is known (confidence {known:.2f}, {least:g} is needed); {remedy}"
         )
 
     def _samples(self, until_s: float, past_min: float) -> Samples:

@@ -408,6 +408,21 @@ async def test_enabling_is_refused_with_the_reason_while_the_states_are_not_know
         assert rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p") == why
 
 
+@pytest.mark.parametrize("gives_speed", [True, False])
+async def test_a_control_that_gives_no_spindle_speed_is_named_and_nobody_is_told_to_wait(
+    tmp_path, model_with_speed, gives_speed
+):
+    shop = Shop(tmp_path, model_with_speed, by_load=True)
+    shop.degc = shop.degc + np.linspace(0.0, 8.0, shop.degc.shape[1])  # not as at the beginning of training
+    await shop.prepare()
+    await shop.run(20, speed=gives_speed)
+    said = shop.task.inhibit()
+    assert "of temperatures and spindle speed, of which too little is known" in said
+    assert ("wait, and leave the daemon running" in said) is gives_speed
+    assert ("the control gives no spindle speed" in said) is not gives_speed
+    await shop.end()
+
+
 def far_back(shop):
     """Return the means of the past hours, in the clock that does not jump."""
     now_s = shop.clock.now().monotonic_s
