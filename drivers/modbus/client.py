@@ -10,7 +10,7 @@ import contextlib
 import logging
 import random
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
@@ -43,6 +43,10 @@ class RefusedRead(Exception):
     """The box answered that it will not; the text is fit for an operator."""
 
 
+class UnreadableError(Exception):
+    """An answer is none of this protocol."""
+
+
 class ModbusClient:
     """One connection, built anew for every attempt.
 
@@ -58,6 +62,8 @@ class ModbusClient:
         self._sent_number = 0
         self._heard_s = 0.0
         self._client = self._built()
+        self._of_library = self._client.ctx.callback_data
+        self._client.ctx.callback_data = self._taken  # type: ignore[method-assign]
 
     def _built(self) -> AsyncModbusTcpClient | AsyncModbusSerialClient:
         config, parity = self._config, self._config.parity[0].upper()
@@ -90,6 +96,15 @@ class ModbusClient:
         if not sending:
             self._heard_s = asyncio.get_running_loop().time()
         return packet
+
+    def _taken(self, data: bytes, addr: tuple[Any, ...] | None = None) -> int:
+        """Return how many bytes were taken; an answer that cannot be decoded ends the read: it would be logged."""
+        try:
+            return self._of_library(data, addr)
+        except ModbusException:
+            if not self._client.ctx.response_future.done():
+                self._client.ctx.response_future.set_exception(UnreadableError())
+            return len(data)
 
     async def connect(self) -> None:
         """Connect, and on a serial line wait until nothing is under way on it; raises LinkError."""
@@ -143,6 +158,8 @@ class ModbusClient:
         try:
             async with asyncio.timeout(2 * self._config.timeout_s):
                 answer = await ask(request.start, count=request.count, device_id=request.unit_id)
+        except UnreadableError as error:
+            raise self._dropped(request, "the answer cannot be read") from error
         except (TimeoutError, ModbusException, OSError) as error:
             raise LinkError(self._no_answer(request)) from error
         if (mismatch := self._foreign(request, answer)) != "":
@@ -151,6 +168,9 @@ class ModbusClient:
             code = int(getattr(answer, "exception_code", 0))
             raise RefusedRead(f"{request}: the box refuses: {REFUSALS.get(code, 'for its own reason')} (code {code})")
         return list(answer.registers)
+
+    def _dropped(self, request: ModbusRequest, why: str) -> LinkError:
+        return LinkError(f"{self._where}: {request}: {why}; it is dropped and the connection built anew")
 
     def _no_answer(self, request: ModbusRequest) -> str:
         serial = ", baud and parity" if self._config.is_rtu else ""

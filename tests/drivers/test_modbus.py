@@ -170,6 +170,25 @@ async def test_a_dead_box_costs_its_own_sensors_only_and_a_refusal_is_put_in_wor
 
 
 @pytest.mark.wires
+async def test_an_answer_that_cannot_be_decoded_is_said_to_be_that_and_no_traceback(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    def shortened(answer: bytes, send: Send) -> None:
+        """Half a register less, which the frame's own length says too."""
+        head, length, rest = answer[:4], int.from_bytes(answer[4:6], "big"), answer[6:-1]
+        send(head + (length - 1).to_bytes(2, "big") + rest)
+
+    box = ModbusTcpBox(contents, way=shortened)
+    await box.start()
+    source = source_of({"host": "127.0.0.1", "port": box.port})()
+    with pytest.raises(LinkError, match=r"registers 0-1: the answer cannot be read; it is dropped"):
+        await anext(source.cycles())
+    await source.close()
+    await box.stop()
+    assert caplog.records == []
+
+
+@pytest.mark.wires
 async def test_two_boxes_with_one_unit_id_are_no_sensor() -> None:
     """Through one gateway now the one answers and now the other, one of them 7.5 K colder."""
     answered = 0
