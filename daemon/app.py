@@ -193,7 +193,8 @@ class Daemon:
             self.control.deliver,
             self._publish_thermal,
         )
-        self.snapshots = self._first_snapshots()
+        self.snapshots = SnapshotBoard(control=control_snapshot(self.control), thermal=thermal_snapshot(self.thermal))
+        self.snapshots.spindle_speed, self.snapshots.model = self.spindle_speed.snapshot(), self._loaded.snapshot()
         self._models = ModelReload(
             self._loaded,
             lambda: parts.load_model(configuration),
@@ -235,13 +236,6 @@ class Daemon:
                 macro_clients=(temperature, self.spindle_speed),
             )
         )
-
-    def _first_snapshots(self) -> SnapshotBoard:
-        """Return the board as it is before anything runs."""
-        board = SnapshotBoard(control=control_snapshot(self.control), thermal=thermal_snapshot(self.thermal))
-        board.spindle_speed = self.spindle_speed.snapshot()
-        board.model = self._loaded.snapshot()
-        return board
 
     async def run(self) -> None:
         """Run until cancelled or told to stop by a signal."""

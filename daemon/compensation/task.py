@@ -193,11 +193,10 @@ class ControlTask:
                 for client in self._parts.macro_clients:
                     client.on_temperatures(message)
             case Reference():
-                if not (refusal := self._references.adopt(message, self.applied_um())):
-                    self._unseen_reference = True
-                else:
+                if refusal := self._references.adopt(message, self.applied_um()):
                     self._desk.refused(message.reference_id, refusal)
                     self.journal.notice(refusal)
+                self._unseen_reference |= not refusal
             case ReferenceRebased():
                 self._references.rebase(message.reference)
             case SensorsSinceReference():

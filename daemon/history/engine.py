@@ -11,7 +11,7 @@ import structlog
 
 from daemon.history.database import HistoryError, connect_writer
 from daemon.history.intake import Entry, Intake, LayoutIds
-from daemon.history.layout import MachineLayout
+from daemon.history.layout import Layout, MachineLayout
 from daemon.history.rows import ACKNOWLEDGE, PUT_STATE
 from daemon.history.store_lock import Kept, StoreIdentity, StoreLostError, WriterLock
 
@@ -241,13 +241,7 @@ class Engine:
 
     def _learn_layouts(self, connection: sqlite3.Connection) -> None:
         for layout in self._layout.layouts:
-            key = (layout.kind, layout.name, layout.members)
-            find = "SELECT layout_id FROM layouts WHERE kind = ? AND name = ? AND members = ?"
-            found = connection.execute(find, key).fetchone()
-            if found is None:
-                connection.execute("INSERT INTO layouts (kind, name, members) VALUES (?, ?, ?)", key)
-                found = connection.execute(find, key).fetchone()
-            self._layout_ids[layout] = found[0]
+            self._layout_ids[layout] = _layout_id(connection, layout)
         (last,) = connection.execute("SELECT max(seq) FROM sqlite_sequence WHERE name = 'writes'").fetchone()
         self.last_write_id = last or 0
 
@@ -308,6 +302,17 @@ class Engine:
             callback(*arguments)
         except Exception:
             log.exception("history.callback", path=str(self._path))
+
+
+def _layout_id(connection: sqlite3.Connection, layout: Layout) -> int:
+    """Return the number of a layout, which gets one where it is new."""
+    key = (layout.kind, layout.name, layout.members)
+    find = "SELECT layout_id FROM layouts WHERE kind = ? AND name = ? AND members = ?"
+    found = connection.execute(find, key).fetchone()
+    if found is None:
+        connection.execute("INSERT INTO layouts (kind, name, members) VALUES (?, ?, ?)", key)
+        found = connection.execute(find, key).fetchone()
+    return int(found[0])
 
 
 def _take_log_along(connection: sqlite3.Connection, path: Path, inode: int | None) -> None:
