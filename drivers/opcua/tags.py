@@ -82,6 +82,8 @@ class TagSession:
             client.set_user(credentials.user_name)
             client.set_password(credentials.password)
         await self.call("connecting", client.connect())
+        if (renewing := client._renew_channel_task) is not None:  # nobody takes its error, and asyncio would log it
+            renewing.add_done_callback(lambda _: renewing.cancelled() or renewing.exception())
         self.namespaces = await self.call("reading its namespaces", _namespaces(client))
 
     async def values(self, nodes: Sequence[Node]) -> list[ua.DataValue]:

@@ -2,6 +2,7 @@
 
 import asyncio
 import copy
+import gc
 import struct
 from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from typing import Any
 import pytest
 import pytest_asyncio
 from asyncua import ua
+from asyncua.common.connection import SecureConnection
 from asyncua.common.utils import ServiceError
 from asyncua.server.internal_session import InternalSession
 from scripted_machine import NAMESPACE, ScriptedNc, cnc_config
@@ -26,6 +28,7 @@ from drivers.opcua.services import READ_RESPONSE, RESPONSE_HEADER, WRITE_RESPONS
 from drivers.opcua.tags import TagSession
 from drivers.opcua.variables import LIMITS
 from drivers.sim.wires.opcua_server import SimulatedCncServer
+from drivers.sim.wires.tcp_relay import TcpRelay
 
 Answered = Callable[[Any, Any], Any]
 NAMESPACES = ua.NodeId(ua.Int32(ua.ObjectIds.Server_NamespaceArray))
@@ -265,3 +268,30 @@ async def test_a_server_that_answers_within_the_time_out_is_not_given_up(
         assert answer.Value.Value == 3
     habits.delay_s = 0.0
     await session.close()
+
+
+@on_wires
+async def test_a_server_that_is_gone_when_the_channel_is_to_be_renewed_leaves_nothing_in_the_log(
+    server: SimulatedCncServer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    opened = SecureConnection.open
+
+    def short(connection: Any, *asked: Any) -> Any:
+        result = opened(connection, *asked)
+        result.SecurityToken.RevisedLifetime = 1000
+        return result
+
+    monkeypatch.setattr(SecureConnection, "open", short)
+    relay = TcpRelay(port=0, target_port=int(server.endpoint.rpartition(":")[2].partition("/")[0]))
+    await relay.start()
+    endpoint = f"opc.tcp://127.0.0.1:{relay.port}/cnc"
+    place = OpcUaServer(endpoint=endpoint, namespace_uri="-", security=None, timeout_s=10.0)
+    session = TagSession(place, "server x")
+    await session.connect()
+    await relay.stop()
+    await asyncio.sleep(1.2)
+    await session.close()
+    del session
+    gc.collect()
+    await asyncio.sleep(0)
+    assert not [record for record in caplog.records if record.name == "asyncio"]
