@@ -65,6 +65,7 @@ def plays(options: argparse.Namespace) -> dict[str, tuple[Play, bool]]:
     pages = partial(store_rows.damaged_pages, count=2 if quick else 25, moments=moments("pages"))
     found["pages of the store damaged"] = (pages, False)
     found["full disk"] = (partial(store_rows.full_disk, count=few), False)
+    found["switched off on a full disk"] = (partial(store_rows.switched_off_on_full_disk, count=few), False)
     found["read-only disk"] = (partial(store_rows.read_only_disk, count=few), False)
     found["descriptors exhausted"] = (partial(process_rows.descriptors_exhausted, count=few), False)
     found["1100 half-sent requests on each socket"] = (partial(process_rows.half_sent, count=few), False)

@@ -17,6 +17,8 @@ from rig import PATIENCE_S, STATES, Rig, need_small_disk
 
 FRAME_HEADER, LOG_HEADER, BLOCK = 24, 32, 4096
 MOST_TRIES = 20
+AT_REST = ("OFF", "RETREAT", "HOLD")
+"""Nothing is followed; what is still applied at a start is held until a person decides."""
 MOST_LOG_BYTES = 100_000
 
 
@@ -192,6 +194,44 @@ def full_disk(rig: Rig, row: Row, count: int) -> None:
         row.check("the log stays below 100 kB", size < MOST_LOG_BYTES, size)
         rig.check_writes(row, after, unverified=1)
         rig.check_store(row, rig.acknowledged)
+
+
+def switched_off_on_full_disk(rig: Rig, row: Row, count: int) -> None:
+    """Switch off on a full disk, kill the daemon, and start it there: the store holds that everything is on."""
+    folder = need_small_disk(rig)
+    for _ in row.rounds(count):
+        rig.ensure_following()
+        offset, after, ballast = rig.log_path.stat().st_size, rig.last_write(), folder / "ballast"
+        row.runs += 1
+        _fill(ballast)
+        try:
+            rig.wait("the notice", lambda status: status["history"]["problem"] != "", PATIENCE_S)
+            rig.running.client.ask("disable")
+            rig.wait("the retreat", lambda status: status["output"]["state"] in AT_REST, PATIENCE_S)
+            time.sleep(2.0)
+            said = rig.status()["history"]["acknowledged"]
+            rig.kill()
+            os.truncate(ballast, 0)  # for the index of the one who looks
+            rig.check_store(row, said)
+            _fill(ballast)
+            row.start_s.append(rig.start())
+            _stays_off(rig, row)
+        finally:
+            ballast.unlink()
+        rig.wait("the store", lambda status: status["history"]["problem"] == "", PATIENCE_S)
+        _stays_off(rig, row)
+        rig.ensure_following()
+        rig.check_log(row, offset)
+        rig.check_writes(row, after, unverified=2)
+
+
+def _stays_off(rig: Rig, row: Row) -> None:
+    rig.wait("the CNC", lambda status: status["output"]["since_s"] is not None, PATIENCE_S)
+    end_s = time.monotonic() + 3.0
+    while time.monotonic() < end_s:
+        output = rig.status()["output"]
+        row.check("what was switched off is not followed", output["state"] in AT_REST, output)
+        time.sleep(0.2)
 
 
 def _fill(ballast: Path) -> None:
