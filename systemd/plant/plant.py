@@ -12,6 +12,7 @@ import contextlib
 import os
 import pwd
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -205,7 +206,19 @@ def fleet(machines: int, minutes: float, speed: float) -> int:
     dsn = f"host=127.0.0.1 port={DATABASE_PORT} dbname=toolpoint user=toolpoint"
     words = ["fleet", "simulate", "--postgres", dsn, "--machines", str(machines), "--minutes", f"{minutes:g}"]
     command = [sys.executable, "-P", "-m", "daemon.cli", *words, "--speed", f"{speed:g}"]
-    return subprocess.run(command, check=False, env=os.environ | {"PGPASSWORD": PASSWORD}).returncode
+    process = subprocess.Popen(command, env=os.environ | {"PGPASSWORD": PASSWORD})
+    try:
+        return process.wait()
+    except SystemExit:
+        process.send_signal(signal.SIGINT)  # Ctrl-C reaches it by itself
+        raise
+    finally:
+        process.wait(PATIENCE_S)
+
+
+def _end(*_: object) -> None:
+    """End everything that was started: a terminal that is closed must not leave the servers at their ports."""
+    sys.exit(1)
 
 
 def port_is_free(port: int) -> bool:
@@ -224,6 +237,8 @@ def main() -> None:
         "--folder", type=Path, default=Path(".plant"), help="where the packages' servers keep their data"
     )
     given = parser.parse_args()
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _end)
     words = compose() if given.way != "packages" else None
     if words is None and given.way == "compose":
         sys.exit(NO_COMPOSE)

@@ -4,6 +4,8 @@ import json
 import os
 import re
 import shutil
+import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -204,13 +206,10 @@ def test_the_box_runs_from_debians_packages(tmp_path: Path) -> None:
     with tempfile.TemporaryDirectory(prefix="plant-") as folder:  # not in pytest's, which the database cannot enter
         Path(folder).chmod(0o755)
         ports = {f"TOOLPOINT_{name}_PORT": str(free_port()) for name in ("DATABASE", "BROKER", "GRAFANA")}
-        words = ["--machines", "1", "--hours", "0.05", "--live-minutes", "0", "--folder", folder]
+        words = [sys.executable, str(FOLDER / "plant.py"), "--machines", "1", "--hours", "0.05", "--folder", folder]
+        environment = os.environ | ports | {"DOCKER_HOST": "unix:///nowhere/docker.sock"}
         done = subprocess.run(
-            [sys.executable, str(FOLDER / "plant.py"), *words],
-            env=os.environ | ports | {"DOCKER_HOST": "unix:///nowhere/docker.sock"},
-            capture_output=True,
-            text=True,
-            check=False,
+            [*words, "--live-minutes", "0"], env=environment, capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, done.stdout + done.stderr
         assert (
@@ -220,3 +219,13 @@ def test_the_box_runs_from_debians_packages(tmp_path: Path) -> None:
         log = (Path(folder) / "broker/log").read_text("utf-8")
         assert "running" in log and "Error" not in log
         assert (Path(folder) / "broker/mosquitto.db").exists(), "what waits in the broker outlives it"
+        with subprocess.Popen(
+            words, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        ) as closed:
+            assert closed.stdout is not None
+            assert any("times real time" in line for line in closed.stdout)
+            closed.send_signal(signal.SIGHUP)  # as of a terminal that is closed
+            assert closed.wait(60) == 1
+        for name in ("DATABASE", "BROKER"):
+            with socket.socket() as probe:
+                assert probe.connect_ex(("127.0.0.1", int(ports[f"TOOLPOINT_{name}_PORT"]))) != 0, f"{name} still runs"
