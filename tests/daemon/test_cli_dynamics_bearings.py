@@ -1,5 +1,6 @@
 """`toolpoint dynamics bearings`: the contract, the bounds as configuration, bad input."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -53,3 +54,16 @@ def test_a_model_of_a_campaign_takes_the_place_of_the_tables(tmp_path: Path) -> 
     assert result.exit_code == 2
     assert "model.json: sha256" in result.stderr
     assert "cannot be opened" in call("bearings", "--axis", "x", *AT_20, "--model", tmp_path / "none.json").stderr
+
+
+def test_a_model_is_asked_by_its_own_signals(tmp_path: Path) -> None:
+    model, renamed = tmp_path / "model.json", published_model().axes["y"]
+    regression = replace(renamed, signals=("Nose (front)", "B", "C", "Hall"))
+    model.write_text(model_to_json(replace(published_model(), axes={"y": regression})))
+    asked = ("bearings", "--axis", "y", "--model", model, "--signal", "Nose (front)=24.5,0.8", "--signal", "B=23")
+    named = answer(*asked, "--signal", "C=22.5", "--signal", "Hall=21")
+    published = ("--t-ir", 24.5, "--t-a", 23, "--t-f", 22.5, "--t-room", 21, "--d-ir", 0.8)
+    assert named == answer("bearings", "--axis", "y", *published)
+    assert "no temperature of C, Hall is given: --signal C=DEGC" in call(*asked).stderr
+    assert "there is no signal X" in call(*asked, "--signal", "C=1", "--signal", "Hall=1", "--signal", "X=1").stderr
+    assert "is not of the form NAME=DEGC" in call(*asked, "--signal", "22").stderr

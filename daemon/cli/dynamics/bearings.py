@@ -22,8 +22,7 @@ PLACES = {"ir": "spindle nose, infrared", "a": "housing, rear", "f": "front cove
 def _temperature_options(command: Command) -> Command:
     """Add four temperatures, their changes, and the changes over 4 minutes."""
     options: list[Callable[[Command], Command]] = [
-        option(f"--t-{name}", type=DEGC, required=True, help=f"T_{label} [degC] ({PLACES[name]}).")
-        for name, label in SIGNALS.items()
+        option(f"--t-{name}", type=DEGC, help=f"T_{label} [degC] ({PLACES[name]}).") for name, label in SIGNALS.items()
     ]
     for name, label in SIGNALS.items():
         sentence = f"Change of T_{label} over each property's own interval (10 min; X: kt_34, kt_5 4 min) [K]."
@@ -40,6 +39,18 @@ def _temperature_options(command: Command) -> Command:
     return command
 
 
+def _named(ctx: click.Context, param: click.Parameter, told: tuple[str, ...]) -> dict[str, tuple[float, float]]:
+    """Return temperature and change by signal."""
+    values: dict[str, tuple[float, float]] = {}
+    for each in told:
+        name, _, numbers = each.rpartition("=")
+        degc, _, change = numbers.partition(",")
+        if not name.strip():
+            raise click.BadParameter(f"{each!r} is not of the form NAME=DEGC or NAME=DEGC,CHANGE")
+        values[name.strip()] = (DEGC.convert(degc, param, ctx), KELVIN.convert(change or "0", param, ctx))
+    return values
+
+
 @click.command()
 @option("--axis", type=click.Choice(["x", "y"]), required=True, help="Machine axis that the regressions are for.")
 @_temperature_options
@@ -48,7 +59,7 @@ def _temperature_options(command: Command) -> Command:
     "model_path",
     metavar="FILE",
     type=FILE,
-    help="Model of a campaign (JSON) in place of the published tables; its signals must be IR, A, F and Room.",
+    help="Model of a campaign (JSON) in place of the published tables, with signals of its own.",
 )
 @option(
     "--bounds",
@@ -57,9 +68,24 @@ def _temperature_options(command: Command) -> Command:
     type=FILE,
     help="Physical bounds (YAML) for the published tables, in place of the shipped ones.",
 )
+@option(
+    "--signal",
+    "named",
+    metavar="NAME=DEGC[,CHANGE]",
+    multiple=True,
+    callback=_named,
+    help="Temperature of a signal of --model, whatever it is called, and its change [K] (repeatable).",
+)
 @json_option
-def bearings(axis: str, model_path: Path | None, bounds_path: Path | None, json_path: str | None, **given: Any) -> None:
-    """Bearing properties from four temperatures and their changes.
+def bearings(
+    axis: str,
+    model_path: Path | None,
+    bounds_path: Path | None,
+    named: dict[str, tuple[float, float]],
+    json_path: str | None,
+    **given: Any,
+) -> None:
+    """Bearing properties from temperatures and their changes.
 
     The regressions are the published ones, or those of a model. `raw` is what the regression says, `value` the same
     within the physical bounds, `flagged` is true where they differ: a flagged value is a bound, not an estimate.
@@ -67,12 +93,18 @@ def bearings(axis: str, model_path: Path | None, bounds_path: Path | None, json_
     import numpy as np
 
     regression = _regression(axis, model_path, bounds_path)
-    degc = np.array([given[f"t_{name}"] for name in SIGNALS])
-    change = np.array([given[f"d_{name}"] for name in SIGNALS])
-    over_4_min = np.array([given[f"d_{n}"] if given[f"d4_{n}"] is None else given[f"d4_{n}"] for n in SIGNALS])
-    order = [list(SIGNALS.values()).index(signal) for signal in regression.signals]
+    values = {name: (degc, change, change) for name, (degc, change) in named.items()}
+    for name, label in SIGNALS.items():
+        degc, change, over_4_min = (given[f"{kind}_{name}"] for kind in ("t", "d", "d4"))
+        if degc is not None:
+            values[label] = (degc, change, change if over_4_min is None else over_4_min)
+    if missing := [signal for signal in regression.signals if signal not in values]:
+        refuse(f"no temperature of {', '.join(missing)} is given: --signal {missing[0]}=DEGC[,CHANGE]")
+    if unknown := sorted(named.keys() - set(regression.signals)):
+        refuse(f"there is no signal {', '.join(unknown)}; the regressions take {', '.join(regression.signals)}")
+    degc, change, over_4_min = np.array([values[signal] for signal in regression.signals]).T
     changes = {minutes: over_4_min if minutes == 4.0 else change for minutes in regression.intervals_min}
-    found = regression.estimate(degc[order], {minutes: each[order] for minutes, each in changes.items()})
+    found = regression.estimate(degc, changes)
     for each in found:
         beside = ""
         if each.flagged:
@@ -102,8 +134,4 @@ def _regression(axis: str, model_path: Path | None, bounds_path: Path | None) ->
         refuse("a model carries its own bounds; give --bounds when it is fitted")
     if axis not in model.axes:
         refuse(f"{model_path}: holds no regressions for axis {axis}, only for {', '.join(model.axes)}")
-    regression = model.axes[axis]
-    if not set(regression.signals) <= set(SIGNALS.values()):
-        signals = ", ".join(regression.signals)
-        refuse(f"{model_path}: regresses on {signals}; here are {', '.join(SIGNALS.values())} (campaign --signals)")
-    return regression
+    return model.axes[axis]
