@@ -19,11 +19,11 @@ IndexArray = npt.NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CleansingRules:
-    """What is accepted of a temperature; the fields are those of the configuration."""
+    """What is accepted of a temperature; the fields are those of the configuration, or of each value of a cycle."""
 
-    noise_degc: float = 0.3
+    noise_degc: float | FloatArray = 0.3
     """A change within one cycle up to this counts at once [degC]; a larger one when the next sample agrees."""
-    max_change_degc: float = 1.0
+    max_change_degc: float | FloatArray = 1.0
     """Largest change within one cycle [degC]."""
     max_rate_degc_per_min: float = 6.0
     """Growth of the allowed change with the time that a gap lasts [degC/min]."""
@@ -33,7 +33,7 @@ class CleansingRules:
     """So many successive samples that agree are a first value, a value after a gap, or a new level."""
     far_level_after_samples: int = 9
     """So many it takes for a level farther from the last accepted value than a gap explains."""
-    agree_within_degc: float = 0.5
+    agree_within_degc: float | FloatArray = 0.5
     """Largest difference where one sample agrees with the next, or with the line that leads to it [degC]."""
     min_degc: float = -20.0
     max_degc: float = 100.0
@@ -41,7 +41,7 @@ class CleansingRules:
     """A held value that is older is missing [s]; a sensor that comes back after that begins anew."""
 
 
-WARMS_K_PER_MIN, GOES_ON_K_PER_MIN = 2.0, 0.5
+WARMS_K_PER_MIN, GOES_ON_K_PER_MIN = 2.0, 1.2
 """So fast a sensor may warm within one cycle that lasts long, and over several that agree [K/min]."""
 HELD_PERIODS = 2.5
 """A sensor whose value is older than so many cycles of its line has missed two."""
@@ -52,9 +52,21 @@ def rules_of_period(rules: CleansingRules, cycle_period_s: float) -> CleansingRu
     period_min, most_degc = cycle_period_s / 60.0, rules.max_gap_change_degc
     return replace(
         rules,
-        max_change_degc=max(rules.max_change_degc, min(WARMS_K_PER_MIN * period_min, most_degc)),
-        agree_within_degc=max(rules.agree_within_degc, min(GOES_ON_K_PER_MIN * period_min, most_degc)),
+        max_change_degc=np.maximum(rules.max_change_degc, min(WARMS_K_PER_MIN * period_min, most_degc)),
+        agree_within_degc=np.maximum(rules.agree_within_degc, min(GOES_ON_K_PER_MIN * period_min, most_degc)),
         stale_after_s=max(rules.stale_after_s, HELD_PERIODS * cycle_period_s),
+    )
+
+
+def widened(rules: CleansingRules, by: FloatArray) -> CleansingRules:
+    """Return the rules of a cycle's values whose sensors scatter, each by so much more than others."""
+    if (by <= 1.0).all():
+        return rules
+    return replace(
+        rules,
+        noise_degc=rules.noise_degc * by,
+        max_change_degc=rules.max_change_degc * by,
+        agree_within_degc=rules.agree_within_degc * by,
     )
 
 
@@ -214,7 +226,7 @@ def _all_near(
 ) -> CleansingResult | None:
     """Return the result where every value counts at once, which is nearly always; None where one has to be judged."""
     change_degc = np.abs(measured_degc - state.accepted_degc[indices])
-    near = change_degc <= min(rules.noise_degc, rules.max_change_degc)  # a NaN is not
+    near = change_degc <= np.minimum(rules.noise_degc, rules.max_change_degc)  # a NaN is not
     near &= measured_degc >= rules.min_degc
     near &= measured_degc <= rules.max_degc
     near &= quality == GOOD
@@ -236,7 +248,7 @@ def _all_near(
 def _allowed(rules: CleansingRules, gap_s: FloatArray) -> FloatArray:
     """Return the change that is allowed after gaps [s]: it grows with them up to a bound [degC]."""
     grown_degc = rules.max_change_degc + rules.max_rate_degc_per_min / 60.0 * gap_s
-    return np.minimum(grown_degc, max(rules.max_gap_change_degc, rules.max_change_degc))
+    return np.minimum(grown_degc, np.maximum(rules.max_gap_change_degc, rules.max_change_degc))
 
 
 def _unusable(reason: CodeArray) -> CodeArray:

@@ -140,7 +140,10 @@ class CleansingConfig(Section):
     """Which temperatures count: changes are bounded, and what is above the noise counts once readings agree."""
 
     noise_degc: float = Field(
-        0.3, gt=0, description="a change up to this counts at once; a larger one when further readings agree"
+        0.3,
+        gt=0,
+        description="a change up to this counts at once; a larger one when further readings agree; of a sensor that is "
+        "found to scatter by more than 0.1 K this, max_change_degc and agree_within_degc are up to 2.5 times as wide",
     )
     max_change_degc: float = Field(
         1.0, gt=0, description="a larger change from the last accepted value within one cycle is rejected"

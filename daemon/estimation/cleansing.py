@@ -1,6 +1,6 @@
 """Temperatures of the whole machine from the cycles of its lines: cleansed, and their means over a window."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 from functools import partial
 
@@ -21,6 +21,7 @@ from models.cleanse import (
     cleanse_cycle,
     initial_state,
     rules_of_period,
+    widened,
 )
 from models.quality import GOOD, Quality, Reason
 from models.records import CodeArray, FloatArray, MachineTemperatures, Reference, TemperatureCycle
@@ -41,6 +42,7 @@ from models.sensor_levels import (
     with_gap,
     with_past,
 )
+from models.sensor_noise import SensorNoise
 
 AtOnce = Callable[[FloatArray], npt.NDArray[np.bool_]]
 NAMED = 3
@@ -109,6 +111,7 @@ class Cleansing:
         self._rules_of = {each.name: rules_of_period(self._rules, each.cycle_period_s) for each in temperatures.inputs}
         self._stale_s = np.maximum(self._rules.stale_after_s, HELD_PERIODS * self._period_s)
         self._state: CleansingState = initial_state(len(position))
+        self._noise = SensorNoise(len(position))
         self._mean = RollingMean(configuration.compensation.reference.mean_s)
         self.due_s = max(self._mean.window_s, HELD_PERIODS * temperatures.shortest_period_s)
         self.least = configuration.compensation.output.min_confidence
@@ -168,6 +171,8 @@ class Cleansing:
         """
         if self.latest is not None and (why := self.stands(self.latest.trace.first_byte.monotonic_s)):
             return why
+        if why := self.memory.at_reference():
+            return why
         if share >= self._full:
             return ""
         doubtful = np.isnan(degc) & np.isfinite(self.mean_degc()) & (self.levels.uncertainty_k != 0.0)
@@ -226,19 +231,26 @@ class Cleansing:
         said = {place: f"sensor {self._sensor_ids[place]} {why}" for place, why in doubts.items()}
         return replace(now, believed_degc=degc, doubted=said)
 
-    def recall(self, degc: FloatArray, at_s: FloatArray) -> None:
-        """Hold the first temperatures against what was accepted last [degC], at which times [s]; NaN where nothing."""
+    def recall(self, degc: FloatArray, at_s: FloatArray, read: Iterable[tuple[float, FloatArray]] = ()) -> None:
+        """Hold the first temperatures against what was accepted last [degC], at which times [s]; NaN where nothing.
+
+        `read`: times [s] and readings [degC] of the minutes until then, which tell how far sensors scatter.
+        """
+        for time_s, told_degc in read:
+            self._noise.wider(np.arange(len(degc)), told_degc, time_s)
         self._state = initial_state(len(degc), degc, at_s)
         self.levels = with_past(self.levels, degc, at_s)
         self.units.recall_past(degc)
 
     def trust_anew(self, reference_id: str, wrong: Collection[int]) -> None:
         """Take every sensor's level as it is: a new reference counts from it; `wrong`: IDs of those found wrong."""
+        self.memory.positioned(self._clock.now().monotonic_s, anew=True)
         self.levels = trusted_anew(self.levels, np.isin(self._sensor_ids, [*wrong]))
         self._lasting_k = dict([*self._lasting_k.items()][-LATEST:]) | {reference_id: self.levels.lasting_k}
 
-    def count_again_from(self, reference_id: str) -> None:
+    def count_again_from(self, reference_id: str, at_s: float) -> None:
         """Doubt what was doubted since a reference: those after it were refused, or the previous run had set it."""
+        self.memory.positioned(at_s, anew=False)
         if (lasting_k := self._lasting_k.get(reference_id)) is not None:
             self.levels = counted_again(self.levels, lasting_k)
         self._lasting_k = {reference_id: self.levels.lasting_k}
@@ -259,7 +271,8 @@ class Cleansing:
             told = quality == Quality.GOOD
             quality = np.where(told, np.uint8(Quality.MISSING), quality)
             reason = np.where(told, np.uint8(Reason.OTHER_UNIT), reason)
-        rules = self._rules_of[cycle.line]
+        told_degc = np.where(quality == Quality.GOOD, cycle.degc, np.nan)
+        rules = widened(self._rules_of[cycle.line], self._noise.wider(indices, told_degc, now_s))
         result = cleanse_cycle(rules, self._state, indices, cycle.degc, quality, reason, now_s, period_s)
         before_degc, self._state = self._state.accepted_degc[indices], result.state
         self._measured[indices] = cycle.degc

@@ -28,6 +28,19 @@ class MemoryWatch:
         self.kept = InputsRead(inputs={})
         self._kept_s = -np.inf
         self._found: frozenset[str] = frozenset()
+        self._positioned_s = self._refused_s = -np.inf
+        self._of_refused: tuple[str, ...] = ()
+
+    def positioned(self, at_s: float, *, anew: bool) -> None:
+        """Know when the work was positioned [s]; not `anew`: what counted before a restart or a refusal does again."""
+        at_reference = self.kept.at_reference
+        if anew:
+            self._refused_s, self._of_refused, at_reference = self._positioned_s, at_reference, ()
+        elif abs(at_s - self._refused_s) < 1.0:
+            at_reference = self._of_refused
+        self._positioned_s = at_s
+        if at_reference != self.kept.at_reference:
+            self.kept = replace(self.kept, at_reference=at_reference)
 
     def recall(self, kept: InputsRead) -> None:
         """Go on with what the previous run knew."""
@@ -42,12 +55,16 @@ class MemoryWatch:
         now = self._inputs[name] = renewed_input(before, degc, now_s)
         if before.stands_s(now_s) and now.since_s > before.since_s:
             self._stood_since_s.setdefault(name, before.since_s)
-        found = frozenset([*self._stood_since_s, *(each for each, of in self._inputs.items() if of.stands_s(now_s))])
+        stands = [each for each, of in self._inputs.items() if of.stands_s(now_s)]
+        found = frozenset([*self._stood_since_s, *stands])
         if found != self._found or now_s - self._kept_s >= KEPT_PERIOD_S:
             ahead_s = self._clock.now().utc_ahead_s
             known = {each: replace(of, since_s=of.since_s + ahead_s) for each, of in self._inputs.items()}
             going_on = {each: of for each, of in self.kept.inputs.items() if each in self._stood_since_s}
-            self._found, self._kept_s, self.kept = found, now_s, InputsRead(inputs=known | going_on)
+            stood = [each for each in stands if self._inputs[each].since_s < self._positioned_s]
+            stood += [each for each in self.kept.at_reference if each not in stood]
+            self._found, self._kept_s = found, now_s
+            self.kept = InputsRead(inputs=known | going_on, at_reference=tuple(stood))
         return now.degc
 
     def why(self, now_s: float) -> str:
@@ -61,6 +78,13 @@ class MemoryWatch:
                     "time before: it may answer from memory; check it and what its sensors hang on"
                 )
         return ""
+
+    def at_reference(self) -> str:
+        """Return why what counts from the reference is not known, '' when no input stood as the work was positioned."""
+        if not self.kept.at_reference:
+            return ""
+        named = ", ".join(self.kept.at_reference)
+        return f"{named} sent the very same numbers for minutes while the work was positioned: position it again"
 
     def standing(self, now_s: float) -> list[int]:
         """Return the places of all sensors of inputs that seem to answer from memory."""

@@ -100,22 +100,27 @@ class HistoryBackfill:
             log.error("history.unreadable", problem=str(error))
         give_memory_back()
 
-    def last_accepted(self) -> tuple[FloatArray, FloatArray]:
+    def last_accepted(self) -> tuple[FloatArray, FloatArray, list[tuple[float, FloatArray]]]:
         """Return the latest accepted value of each sensor [degC] and when it was [s]; NaN and -inf where none is.
+
+        Result: also the times [s] and readings [degC] of the ten minutes in which these were, NaN where none came.
 
         It reaches as far back as an outage may last after which a reference is taken up.
         """
         degc, at_s = np.full(len(self._sensor_ids), np.nan), np.full(len(self._sensor_ids), -np.inf)
         end_s = now_s = self._clock.now().monotonic_s
+        read: list[tuple[float, FloatArray]] = []
         if not self._store.is_file():
-            return degc, at_s
+            return degc, at_s, read
         try:
             with HistoryReader(self._store, also_on_full_disk=True) as reader:
                 while not np.isfinite(degc).any() and now_s - end_s < self._longest_s:
                     for span, from_utc_s, to_utc_s in self._within(end_s - RECALL_S, end_s):
                         found = reader.temperatures(self._sensor_ids, from_utc_s, to_utc_s)
-                        good = found.quality == Quality.GOOD
-                        good &= self._of(span, found.time_s, found.monotonic_s)[:, None]
+                        own = self._of(span, found.time_s, found.monotonic_s)
+                        good = (found.quality == Quality.GOOD) & own[:, None]
+                        told = np.where(found.quality <= Quality.HELD, found.degc, np.nan)[own]
+                        read += zip((found.time_s[own] - span.to_utc_s).tolist(), told, strict=True)
                         for column in np.flatnonzero(good.any(axis=0)):
                             row = np.flatnonzero(good[:, column])[-1]
                             degc[column] = found.degc[row, column]
@@ -123,7 +128,7 @@ class HistoryBackfill:
                     end_s -= RECALL_S
         except HistoryError as error:
             log.error("history.unreadable", problem=str(error))
-        return degc, at_s
+        return degc, at_s, read
 
     def _window(
         self, reader: HistoryReader, begin_s: float, end_s: float, period_s: float

@@ -142,8 +142,7 @@ class ThermalTask:
 
     async def recall(self) -> None:
         """Hold the first temperatures against those that the previous run accepted last."""
-        degc, at_s = await asyncio.to_thread(self._past.last_accepted)
-        self._cleansing.recall(degc, at_s)
+        self._cleansing.recall(*await asyncio.to_thread(self._past.last_accepted))
 
     async def _prepare(self) -> None:
         if self._online is not None:
@@ -174,7 +173,7 @@ class ThermalTask:
         """Go on from a reference of before; what the model needs of the store is read in a thread."""
         reference = message.reference
         self._taken_up_s = self._clock.now().monotonic_s
-        self._cleansing.count_again_from(reference.reference_id)
+        self._cleansing.count_again_from(reference.reference_id, reference.time.monotonic_s)
         self._since.take_up(reference, message.sensors)
         self._positions.take_up(self._since.positions_mm)
         if self._online is not None:

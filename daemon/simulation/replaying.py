@@ -15,14 +15,13 @@ from config.recordings.recording_map import ColumnError, RecordingMap, load_reco
 from config.records.commissioning import macro_map_digest
 from config.schema.base import NAME_PATTERN
 from config.schema.cnc import MacroMapConfig
-from config.schema.temperatures import LONGEST_CHAIN
+from config.schema.temperatures import LONGEST_CHAIN, CleansingConfig
 from daemon.history.series import EventRecord
 from daemon.model_release.loading import read_model
 from daemon.workbench.thermal.reading import common_map
 from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.sim.machine.recorded import LEAD_IN_S
 from drivers.sim.nc.safe_point import GUARD_VERSION
-from models.cleanse import CleansingRules
 from models.model_file import ModelError
 from models.recordings.dataset import Recording
 from models.recordings.plausibility import RISES_FROM_DEGC, are_rises
@@ -337,7 +336,7 @@ def allowed_change_k(recording: Recording, cycle_s: float) -> tuple[float, str]:
     A healthy sensor beside a motor may move by several kelvin a minute: what a cycle of `cycle_s` [s] sees of it must
     not count as another level of the sensor. What goes on in the next row is no spike and no step.
     """
-    usual_k = CleansingRules().max_change_degc
+    usual_k = CleansingConfig().max_change_degc
     degc = recording.without_impossible().temperatures_degc[:, : recording.sensors]
     per_cycle = np.diff(degc, axis=0) * np.minimum(cycle_s / np.diff(recording.time_s), 1.0)[:, None]
     before, after = np.nan_to_num(per_cycle[:-1]), np.nan_to_num(per_cycle[1:])

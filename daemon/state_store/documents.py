@@ -142,3 +142,5 @@ class InputsRead:
 
     inputs: Mapping[str, StandingInput]
     """By name; their times are UTC [s]."""
+    at_reference: tuple[str, ...] = ()
+    """Names of those that stood when the work was positioned."""
