@@ -83,7 +83,7 @@ def problems(text: str, model: type[Section] = Whole) -> list[str]:
         ("just words", ["f.yaml:1:1: must be keys with values, not the text 'just words'"]),
         ("", ["f.yaml:1:1: the file is empty"]),
         ("# only a comment\n", ["f.yaml:1:1: the file is empty"]),
-        ("title: x\n\tparts: []", ["f.yaml:2:1: this is not valid YAML: found character '\\t'"]),
+        ("title: x\n\tparts: []", ["f.yaml:2:1: a tab may not stand here; indent with blanks"]),
         ("title: [x\nparts: 1", ["f.yaml:2:6: this is not valid YAML: "]),
         ("title: x\n---\ntitle: y", ["f.yaml:2:1: this is not valid YAML: but found another document"]),
         ("title: *nobody", ["f.yaml:1:8: this is not valid YAML: found undefined alias 'nobody'"]),
