@@ -13,10 +13,12 @@ from searched_once import searched_once
 from daemon.cli import main
 from daemon.cli.thermal.evaluate import MODELS
 from daemon.simulation.replaying import LEAST_SHARE
+from daemon.workbench.thermal.choice_figures import choice_figures
 from daemon.workbench.thermal.shortfalls import on_line_sentences
 from models.thermal.family import model_from_json
 from models.thermal.features import lag_table
 from models.thermal.linear import LinearModel
+from models.thermal.training.choice import Choice
 
 MINUTES = 120
 SPLIT = ("--train-hours", "0-8", "--test-hours", "8-12")
@@ -218,6 +220,15 @@ def test_a_sensor_that_nothing_stands_in_for_is_why_less_would_be_had_on_line(tm
     (sentence,) = [one for one in found["advice"] if "on line it would be" in one]
     assert "what is imputed for excluded sensors (t4) may be off by more than 1 um" in sentence
     assert "beyond training" not in sentence and "record 2 more runs in which they do the same" in sentence
+
+
+def test_families_that_differ_between_trainings_are_told_apart() -> None:
+    """The name of one holds a comma."""
+    families = {"a.csv": "lags", "b.csv": "half ridge, half gaussian", "c.csv": "lags", "d.csv": "gaussian"}
+    made = {name: Choice(family=family, why="it leaves less", candidates=()) for name, family in families.items()}
+    chosen = choice_figures(made, ["c1"])["c1"]["chosen"]
+    said = "in 2 of 4 trainings, 'half ridge, half gaussian' in 1, 'gaussian' in 1; a.csv: it leaves less"
+    assert chosen == {"family": "lags", "why": said}
 
 
 def test_constant_and_lost_sensors_are_left_out_by_name(tmp_path: Path) -> None:

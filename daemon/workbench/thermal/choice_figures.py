@@ -60,10 +60,9 @@ def _chosen(choices: Mapping[str, Choice]) -> dict[str, Any]:
     whys = {name: choice.why for name, choice in choices.items() if choice.family == family}
     if len(choices) == 1:
         return {"family": family, "why": next(iter(whys.values()))}
-    others = ", ".join(f"{other} {count}" for other, count in counted.most_common()[1:])
-    rest = f"; in others {others}" if others else ""
+    others = "".join(f", {other!r} in {count}" for other, count in counted.most_common()[1:])
     first = next(iter(whys))
-    return {"family": family, "why": f"in {often} of {len(choices)} trainings{rest}; {first}: {whys[first]}"}
+    return {"family": family, "why": f"in {often} of {len(choices)} trainings{others}; {first}: {whys[first]}"}
 
 
 def _figures(tried: Sequence[Candidate], channel: int) -> dict[str, Any]:
