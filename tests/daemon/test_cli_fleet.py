@@ -165,6 +165,7 @@ def test_a_sister_takes_over_the_type_with_one_recording(fleet: Path, tmp_path: 
     found = json.loads(result.stdout)
     assert found["hyper_parameters"]["taken_over"] == "a combination of the fleet's models"
     assert found["model"]["kind"] == "fleet" and found["model"]["sensors"] == 16
+    assert "where this one is refused, --prior without recordings makes the mean" in found["advice"][0]
     model = model_from_json((tmp_path / "model.json").read_bytes(), "model.json")
     assert model.channels == ("Y1", "Y2", "Z1", "Z2", "Z3")
     own = ["-c", str(fleet / "toolpoint.yaml"), "--json", "-"]

@@ -62,7 +62,8 @@ def _advice(inputs: Inputs, rows: BoolArray, independent: int) -> tuple[str, ...
         return still_channels(inputs, rows)
     sentence = (
         f"of {counted(runs, 'recording')} a combination of its sisters' models is made, and no watch of the sensors: "
-        f"record {more_runs(FEW + 1 - runs)}, a warm-up and a cooling of this machine, and train again with all of them"
+        f"record {more_runs(FEW + 1 - runs)}, a warm-up and a cooling of this machine, and train again with all of "
+        "them; where this one is refused, --prior without recordings makes the mean of the type's models until then"
     )
     return (sentence, *still_channels(inputs, rows))
 
