@@ -293,8 +293,10 @@ def _judged(
         before_k, wrong_k = shift_k[index], levels.lasting_k[index] + uncertainty_k[index] + off_k
         if abs(off_k) <= near_k:
             continue
-        if before_k != 0.0 and abs(before_k + off_k) <= near_k:
-            shift_k[index], uncertainty_k[index] = 0.0, uncertainty_k[index] if index in away_s else 0.0
+        rest_k = 0.0 if abs(before_k + off_k) <= near_k else before_k + off_k
+        if abs(rest_k) < abs(before_k) and (rest_k == 0.0 or seen.jump_k[place] != 0.0):  # the rest changed meanwhile
+            shift_k[index], most_k = rest_k, UNKNOWN_K if index in away_s else abs(rest_k)
+            uncertainty_k[index] = np.clip(uncertainty_k[index], -most_k, most_k)
         elif before_k == 0.0 != uncertainty_k[index] and abs(uncertainty_k[index] + off_k) <= near_k:
             uncertainty_k[index] = 0.0
         elif not (seen.returned[place] and seen.new_level[place]):

@@ -111,3 +111,17 @@ def test_a_sensor_that_left_with_a_jump_and_came_back_wrong_is_told_of_the_past_
     for time_s, off_k in ((50.0, 0.0), (100.0, 8.0), (150.0, 8.0), (200.0, back_k), (400.0, -4.0)):
         told = unshifted(levels, time_s, still + [off_k, 0.0, 0.0])
         assert np.isnan(told[0]) or told[0] == 20.0, time_s
+
+
+@pytest.mark.parametrize("positioned", [False, True])
+def test_a_sensor_that_jumps_back_but_for_what_changed_meanwhile_keeps_no_more_of_its_shift(positioned: bool) -> None:
+    levels, lines = with_past(first_levels(3), np.full(3, 20.0), np.zeros(3)), np.arange(3)
+    came = replace(seen(700.0, np.array([27.5, 20.0, 20.0]), returned=3), new_level=np.array([True, False, False]))
+    levels = renewed_levels(levels, lines, came)
+    assert levels.shift_k[0] == pytest.approx(7.5) and levels.uncertainty_k[0] == pytest.approx(0.5)
+    if positioned:
+        levels = trusted_anew(levels, np.zeros(3, dtype=bool))
+    levels = renewed_levels(levels, lines, seen(900.0, np.array([21.3, 20.0, 20.0]), np.array([-6.2, 0.0, 0.0])))
+    assert levels.shift_k[0] == pytest.approx(1.3) and levels.degc[0] == pytest.approx(20.0)
+    assert levels.uncertainty_k[0] == pytest.approx(0.0 if positioned else 0.5)
+    assert unshifted(levels, 800.0, np.array([27.5, 20.0, 20.0]))[0] == pytest.approx(20.0)
