@@ -41,6 +41,8 @@ class StandingInput:
     """The smallest such share of a block that was no answer from memory."""
     block: tuple[int, int] = (0, 0)
     """Of the block that has begun how many readings there were, and in how many of them any number changed."""
+    proven: bool = True
+    """Its numbers have changed about as often as before since it answered from memory last."""
     improbable: float = 0.0
     """How improbable it is that the numbers stand as long as they do, natural logarithm."""
     since_s: float = 0.0
@@ -65,18 +67,22 @@ def renewed_input(before: StandingInput, degc: FloatArray, now_s: float) -> Stan
     changed = bool((degc[both] != before.degc[both]).any())
     share = 1.0 / min(before.readings + 1, REMEMBERED)
     likely = min(before.changing, before.least) if before.readings >= FEWEST else 0.0
-    least, block = before.least, (before.block[0] + 1, before.block[1] + changed)
+    least, changing, proven = before.least, before.changing, before.proven
+    block = (before.block[0] + 1, before.block[1] + changed)
     if changed and before.stands_s(now_s):
-        block = (0, 0)
-    elif changed and block[0] >= BLOCK:
-        kept = least + FORGOTTEN * max(before.changing - least, 0.0)
+        proven, block, changing = False, (0, 0), max(changing, least)
+    elif block[0] >= BLOCK and not proven:
+        proven, block = block[1] / block[0] >= least / 2.0, (0, 0)
+    elif block[0] >= BLOCK and changed:
+        kept = least + FORGOTTEN * max(changing - least, 0.0)
         least, block = min(kept, block[1] / block[0]), (0, 0)
     return StandingInput(
         degc=latest,
         readings=before.readings + 1,
-        changing=before.changing + share * (float(changed) - before.changing),
+        changing=changing + share * (float(changed) - changing) if proven else changing,
         least=least,
         block=block,
+        proven=proven,
         improbable=0.0 if changed else before.improbable - math.log1p(-min(likely, MOST_CHANGING)),
         since_s=now_s if changed else before.since_s,
     )

@@ -31,6 +31,19 @@ def test_numbers_that_stand_though_they_always_changed_are_found_after_five_minu
     assert stood[360 + 31] >= LEAST_S
 
 
+@pytest.mark.parametrize("between_min", [4, 6, 30])
+def test_numbers_that_change_once_and_stand_again_are_found_again(between_min):
+    """The box is started anew, or says another unit for a while, and its sensors are as silent as before."""
+    rows = noisy(360, 0.0625, 0.02, 3)
+    again = 60 + 6 * between_min
+    stood = fed(
+        np.concatenate(
+            [rows, np.tile(rows[-1], (60, 1)), np.tile(rows[-2], (again - 60, 1)), np.tile(rows[-1], (60, 1)), rows]
+        )
+    )
+    assert stood[360 + again + 31 : 420 + again].all() and not stood[421 + again :].any()
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_a_machine_that_cools_into_a_quiet_night_answers_from_no_memory(seed):
     """A day's run of 8 K, then 14 h of rest, in steps of a tenth without any noise: the hardest to tell."""
