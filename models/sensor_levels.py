@@ -294,7 +294,9 @@ def _judged(
         if abs(off_k) <= near_k:
             continue
         rest_k = 0.0 if abs(before_k + off_k) <= near_k else before_k + off_k
-        if abs(rest_k) < abs(before_k) and (rest_k == 0.0 or seen.jump_k[place] != 0.0):  # the rest changed meanwhile
+        if abs(rest_k) < abs(before_k) / 2.0 and (
+            rest_k == 0.0 or seen.jump_k[place] != 0.0
+        ):  # the rest changed meanwhile
             shift_k[index], most_k = rest_k, UNKNOWN_K if index in away_s else abs(rest_k)
             uncertainty_k[index] = np.clip(uncertainty_k[index], -most_k, most_k)
         elif before_k == 0.0 != uncertainty_k[index] and abs(uncertainty_k[index] + off_k) <= near_k:

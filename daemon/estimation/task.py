@@ -443,6 +443,11 @@ def _unsure(
     sensor_ids: tuple[int, ...],
 ) -> str:
     """Return why the estimate may be wrong by more than is allowed since its reference, '' when it may not."""
+    if outcome.speed_unread_um > UNSURE_UM:
+        return (
+            "spindle speed was not read for a while since the reference, which may be worth more than "
+            f"{UNSURE_UM:g} um: position the work again"
+        )
     level_um = 0.0
     if uncertainty_k.any():
         level_um = online.level_um(uncertainty_k) + float(np.abs(uncertainty_k) @ tool_um_per_k)

@@ -46,6 +46,8 @@ class Estimation:
     """What is left of confidence for the sensors that do not count, 0..1."""
     imputed_um: float = 0.0
     """By how much what is imputed, now or when a sensor was set anew, may be off, of the worst channel [um]."""
+    speed_unread_um: float = 0.0
+    """By how much it may be off because of spindle speed not read since the reference, of the worst channel [um]."""
     found_wrong_um: float = 0.0
     """What sensors that were found wrong since the latest estimate were worth until then, of the worst channel [um]."""
 

@@ -79,6 +79,7 @@ class LinearEstimator:
             known_min=np.where(known, time_min, -np.inf),
             since_min=np.full(len(degc), time_min if self.history_min else -np.inf),
             unknown=self._past.at_first(degc, speed_rpm),
+            interval_min=self._bridge_min / 1.5,
             speed_rpm=speed,
             speed_known_min=time_min if np.isfinite(speed_rpm) else -np.inf,
             lagged=lagged,
@@ -142,6 +143,7 @@ class LinearEstimator:
             known_min=np.where(known, time_min, state.known_min),
             since_min=np.where(returned, time_min, state.since_min),
             unknown=unknown,
+            interval_min=elapsed_min,
             speed_rpm=speed,
             speed_known_min=time_min if speed_known else state.speed_known_min,
             lagged=lagged,
@@ -232,7 +234,7 @@ class LinearEstimator:
         distance, unknown_share, imputed_um = self.left_out.distance(change, excluded)
         near = far_confidence(distance, unknown_share)
         near *= fast_confidence(state.speed_rpm, self.model.domain.highest_speed_rpm)
-        known, past_factor = self._past.since(state, reference)
+        known, past_factor, unread_um = self._past.since(state, reference)
         share = self.left_out.share(excluded)
         band_um = self.model.band_um
         relative = np.divide(imputed_um, band_um, out=np.zeros_like(imputed_um), where=band_um > 0.0)
@@ -245,6 +247,7 @@ class LinearEstimator:
             outside=self._ids(np.flatnonzero(outside)),
             band_factor=np.sqrt(np.square(band_factor(distance)) + past_factor + np.square(relative)),
             imputed_um=float(imputed_um.max()),
+            speed_unread_um=unread_um,
         )
 
     def _ids(self, indices: npt.NDArray[np.intp]) -> tuple[int, ...]:

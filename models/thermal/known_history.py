@@ -28,6 +28,8 @@ class ModelState:
     """Since when each sensor has been known without a longer gap [min], shape (n_sensors,)."""
     unknown: FloatArray
     """Share of each lag, those of speed last, that nobody recorded, when temperature or speed was last known, 0..1."""
+    interval_min: float
+    """How long the sample before it was ago [min]."""
     speed_rpm: float
     """Latest known spindle speed [1/min]."""
     speed_known_min: float
@@ -44,7 +46,8 @@ class ModelState:
 class KnownHistory:
     """What is unknown of a model's lags; pure in the state.
 
-    `model`: the model. `bridge_min`: a longer interval without samples is a gap [min].
+    `model`: the model. `bridge_min`: a longer interval without samples is a gap [min]. Spindle speed changes at
+    once: of it one that is longer than two rows of the model, or than samples usually come in, is a gap.
     """
 
     def __init__(self, model: LinearParameters, bridge_min: float) -> None:
@@ -52,6 +55,7 @@ class KnownHistory:
         self._temperatures = layout.sensors - len(model.axis_positions)
         self._rest_is_known = not model.axis_positions  # where axes have dwelt shows in no temperature
         self._start, self._band_um, self._bridge_min = model.start, model.band_um, bridge_min
+        self._speed_bridge_min = max(1.0, 2.5 * model.period_min)
         self.constants_min = np.array([*layout.lags_min, *layout.speed_lags_min])
         self.of_speed: BoolArray = np.arange(len(self.constants_min)) >= len(layout.lags_min)
 
@@ -89,10 +93,12 @@ class KnownHistory:
         """Return what a reference now would be worth, 0..1."""
         return 0.0 if self._speed_is_gone(state) else self._known(self._unknown(state, state.time_min))
 
-    def since(self, state: ModelState, reference: ModelState) -> tuple[float, FloatArray]:
-        """Return how far the estimate since a reference may be followed, 0..1, and what widens its band.
+    def since(self, state: ModelState, reference: ModelState) -> tuple[float, FloatArray, float]:
+        """Return how far the estimate since a reference may be followed, 0..1, and what it may be off by more.
 
-        Result: the latter as the variance over the square of the band inside the domain, shape (n_channels,).
+        Result: also what widens its band, as the variance over the square of the band inside the domain, shape
+        (n_channels,); by how much it may be off because spindle speed was not read since the reference, of the worst
+        channel [um].
         """
         then = self._unknown(reference, reference.time_min)
         left = then * np.exp(-max(state.time_min - reference.time_min, 0.0) / self.constants_min)
@@ -101,9 +107,11 @@ class KnownHistory:
         known = 0.0 if self._speed_is_gone(state) else self._known(then, later)
         none = np.zeros(len(self._band_um))
         if self._start is None or not len(self.constants_min):
-            return known, none
+            return known, none, 0.0
         unsure_um2 = NORMAL_95**2 * (self._start.variance_um2(then - left) + self._start.variance_um2(later))
-        return known, np.divide(unsure_um2, np.square(self._band_um), out=none, where=self._band_um > 0.0)
+        wider = np.divide(unsure_um2, np.square(self._band_um), out=none, where=self._band_um > 0.0)
+        of_speed_um2 = self._start.variance_um2(np.where(self.of_speed, later, 0.0))
+        return known, wider, NORMAL_95 * float(np.sqrt(of_speed_um2.max(initial=0.0)))
 
     def _speed_is_gone(self, state: ModelState) -> bool:
         """Whether spindle speed, which the model needs, is not known for longer than is bridged."""
@@ -132,5 +140,6 @@ class KnownHistory:
         if not self.of_speed.any():
             return of_degc
         since_min = time_min - state.speed_known_min
-        of_speed = grown_unknown(state.unknown, since_min, self.constants_min, self._bridge_min)
+        bridge_min = max(self._speed_bridge_min, 1.5 * state.interval_min)
+        of_speed = grown_unknown(state.unknown, since_min, self.constants_min, bridge_min)
         return np.where(self.of_speed, of_speed, of_degc)

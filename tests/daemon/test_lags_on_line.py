@@ -408,6 +408,23 @@ async def test_enabling_is_refused_with_the_reason_while_the_states_are_not_know
         assert rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p") == why
 
 
+@pytest.mark.parametrize(("minutes", "held"), [(0, False), (8, True), (25, True)])
+async def test_a_spindle_that_began_to_turn_while_its_speed_was_not_read_holds_the_output(
+    tmp_path, model_with_speed, minutes, held
+):
+    """The lags went straight from one speed to the other, and the tool stood up to 8 um wrong in ACTIVE for an hour."""
+    shop = Shop(tmp_path, model_with_speed, by_load=True)
+    await shop.prepare()
+    await shop.run(20)
+    await shop.refer()
+    await shop.run(10)
+    await shop.run(minutes, speed=False)
+    await shop.run(3)
+    assert ("spindle speed was not read" in shop.latest.inhibit) is held
+    assert (shop.latest.confidence == 0.0) is held
+    await shop.end()
+
+
 @pytest.mark.parametrize("gives_speed", [True, False])
 async def test_a_control_that_gives_no_spindle_speed_is_named_and_nobody_is_told_to_wait(
     tmp_path, model_with_speed, gives_speed

@@ -13,9 +13,11 @@ from sklearn.linear_model import Ridge
 from models.model_file import ModelError
 from models.recordings.dataset import Recording
 from models.records import FloatArray
+from models.thermal.estimation import UNSURE_UM
 from models.thermal.estimator import LinearEstimator, excluded_sensors, readmitted
 from models.thermal.family import model_from_json
 from models.thermal.features import Design, lag_table
+from models.thermal.known_history import ModelState
 from models.thermal.linear import LinearModel
 from models.thermal.training.families import Fit
 from models.thermal.training.inputs import build_inputs
@@ -286,7 +288,7 @@ def test_while_the_past_is_not_known_the_band_is_wider_and_confidence_low(
     estimator, warm = LinearEstimator(model), at_random(recording, 150)
     factors, confidences = [], []
     for minutes in (0, 240, 961):
-        reference = estimator.rebuild((float(minute), warm, 0.0) for minute in range(minutes + 1))
+        reference = estimator.rebuild((float(minute), warm, 0.0) for minute in range(minutes % 5, minutes + 1, 5))
         assert reference is not None
         state = reference
         for minute in range(minutes + 5, minutes + 200, 5):
@@ -304,8 +306,21 @@ def test_a_long_gap_in_speed_is_unknown_and_a_short_one_is_not(recording: Record
     degc, of_speed = recording.temperatures_degc[0], estimator._past.of_speed
     state = estimator.rebuild((float(minute), degc, 0.0) for minute in range(961))
     assert state is not None and of_speed.any()
-    short = estimator.advance(estimator.advance(state, 965.0, degc), 969.0, degc, 0.0)
+
+    def gap(begins_min: float, ends_min: float) -> ModelState:
+        there = estimator.advance(state, begins_min, degc, find_faults=False)
+        return estimator.advance(there, ends_min, degc, 0.0, find_faults=False)
+
+    short, missed = gap(961.0, 962.0), gap(965.0, 969.0)
     assert short.unknown.max() < 0.02
+    rare = estimator.rebuild((float(minute), degc, 0.0) for minute in range(0, 961, 5))
+    assert rare is not None and estimator.advance(rare, 965.0, degc, 0.0).unknown.max() < 0.02
+    np.testing.assert_allclose(
+        missed.unknown[of_speed], 1.0 - np.exp(-9.0 / estimator._past.constants_min[of_speed]), atol=0.02
+    )
+    found = [estimator.estimate(each, state) for each in (short, missed)]
+    assert found[0] is not None and found[0].speed_unread_um < 0.01, "the spindle may have begun to turn meanwhile:"
+    assert found[1] is not None and found[1].speed_unread_um > UNSURE_UM and found[1].confidence > 0.0
     silent = state
     for minute in range(965, 1021, 5):
         silent = estimator.advance(silent, float(minute), degc)

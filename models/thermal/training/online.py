@@ -81,7 +81,8 @@ def follow(model: ThermalModel, inputs: Inputs, rows: IntArray) -> Followed:
         absent[:axes], position_known[place] = imputed[:axes], position_known[place] and not imputed[axes:].any()
         estimate_um[place] = found.thermal_error_um
         unsure[place] = found.imputed_um > UNSURE_UM
-        confidence[place] = 0.0 if unsure[place] else found.confidence * trust[place]
+        held = unsure[place] or found.speed_unread_um > UNSURE_UM
+        confidence[place] = 0.0 if held else found.confidence * trust[place]
         band_um[place], in_domain[place] = model.band_um * found.band_factor, found.in_domain
     return Followed(
         estimate_um=estimate_um,
