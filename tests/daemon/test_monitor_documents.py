@@ -152,6 +152,8 @@ async def test_the_estimate_says_which_sensors_carry_it_and_what_is_measured_bes
     z = found["channels"]["Z1"]
     assert z["thermal_error_um"] == -3.0 and z["axes"] == ["z"] and z["measured_um"] is None
     assert [(each["sensor"], each["um"]) for each in z["contributions"]] == [(11, 3.0), (1, -2.0)]
+    short = (await bench.browser().get("/api/v1/estimate?contributions=false")).json
+    assert short["channels"]["Z1"] == z | {"contributions": None}
     assert [each["source"] for each in found["references"]] == ["O1000 N100"]
     then_um, now_um = {"Z1": 5.0}, {"Z1": 4.0}
     z = estimate_document(rig.configuration, rig.snapshots, then_um, now_um)["channels"]["Z1"]

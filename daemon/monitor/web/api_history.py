@@ -33,6 +33,7 @@ Names = Annotated[
     list[Annotated[str, Query(max_length=100)]],
     Query(alias="name", min_length=1, max_length=MOST_NAMES, description="see /api/v1/names; may be repeated"),
 ]
+BySensor = Annotated[bool, Query(description="false: without what each sensor carries")]
 Points = Annotated[int, Query(ge=2, le=MOST_POINTS, description="at most so many buckets")]
 
 
@@ -168,7 +169,7 @@ async def export(
 
 
 @router.get("/estimate", response_model=schemas.Estimate)
-async def estimate(request: Request, person: Viewer) -> Response:
+async def estimate(request: Request, person: Viewer, contributions: BySensor = True) -> Response:
     """Return the estimate now: per channel band, contributions of sensors, residual to what is measured."""
     parts = request.app.state.parts
     now_s, reference = parts.clock.now().utc_s, parts.board.control.reference
@@ -186,4 +187,6 @@ async def estimate(request: Request, person: Viewer) -> Response:
 
     marks, measured = await recorded_of(request).query(ask)
     document = estimate_document(parts.configuration, parts.board, *measured)
+    if not contributions:
+        document["channels"] = {name: of | {"contributions": None} for name, of in document["channels"].items()}
     return JSONResponse(document | {"references": marks})

@@ -251,7 +251,7 @@ class ChannelEstimate(Document):
     axes: list[str]
     unit: str | None = Field(None, description="um/m where this is a slope along an axis; else left out, and um")
     contributions: list[Contribution] | None = Field(
-        description="by sensor, the largest first; null where the model does not tell"
+        description="by sensor, the largest first; null where the model does not tell, or nobody asked"
     )
 
 

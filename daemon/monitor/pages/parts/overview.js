@@ -299,7 +299,7 @@ class ErrorOverShift {
     const labels = Object.keys(tool);
     const names = [`estimated.${channel}`, `applied.${this.axis}`, `band.${channel}`, ...labels.flatMap((label) => [`label.${label}`, `label_reference.${label}`])];
     try {
-      const [answers, estimate] = await Promise.all([series(names, from, to, this.points), ask("estimate")]);
+      const [answers, estimate] = await Promise.all([series(names, from, to, this.points), ask("estimate", { contributions: false })]);
       const [t, estimated, applied, band, ...means] = aligned(answers, names.map((name) => [name, "mean"]), from, to, this.points);
       const of_cnc = held(applied);
       const marks = (estimate.references ?? []).map((reference) => reference.time).filter((time) => time >= from && time <= to);
