@@ -86,7 +86,6 @@ def _comment(knob: Knob) -> list[str]:
 
 
 def _yaml(value: Any) -> str:
-    """Return a value as one line of YAML."""
     text = yaml.safe_dump(_plain(value), default_flow_style=True, width=10_000, sort_keys=False)
     return text.removesuffix("\n").removesuffix("\n...")
 

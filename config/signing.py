@@ -86,7 +86,6 @@ class TrustedKeys:
         return cls(folder, {key_number(trusted.key): trusted for trusted in found})
 
     def of(self, purpose: Purpose) -> dict[str, TrustedKey]:
-        """Return the keys that count for one purpose."""
         return {number: key for number, key in self.keys.items() if purpose in key.purposes}
 
     def signer(self, purpose: Purpose, content: bytes, signature: bytes | None, what: str) -> str:

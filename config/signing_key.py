@@ -105,7 +105,6 @@ class SigningKey:
         return self._key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
 
     def signature(self, purpose: Purpose, content: bytes) -> bytes:
-        """Return the content of a signature's file."""
         raw = self._key.sign(_signed(purpose, content))
         told = {"key": self.number, "signature": base64.b64encode(raw).decode()}
         return json.dumps(told).encode() + b"\n"

@@ -136,8 +136,6 @@ def _collect_what_comes_now() -> None:
 
 
 class Daemon:
-    """One machine's daemon."""
-
     def __init__(
         self, configuration: Configuration, clock: Clock, parts: Parts = PARTS, *, config_path: Path | None = None
     ) -> None:

@@ -35,7 +35,6 @@ def monitor_service(
     telemetry: Telemetry,
     history: HistoryWriter,
 ) -> Callable[[Callable[[], None]], Awaitable[None]]:
-    """Return what serves the monitor."""
     documents = Documents(configuration, clock, board, telemetry)
     telemetry.registry.register(PresentMetrics(configuration, board, documents))
     parts = MonitorParts(

@@ -159,8 +159,6 @@ class SpindleSpeedSnapshot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkSnapshot:
-    """One link."""
-
     name: str
     up: bool
     problem: str
@@ -189,8 +187,6 @@ class DisplacementSnapshot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HistorySnapshot:
-    """The store."""
-
     acknowledged: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     """Line -> number of its last committed cycle."""
     problem: str = ""

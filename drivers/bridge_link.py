@@ -70,7 +70,6 @@ class BridgeLink:
         return answer
 
     def abort(self, reason: str) -> None:
-        """End the bridge."""
         self.lost = self.lost or reason
         if self._process.stdin is not None:
             self._process.stdin.close()

@@ -19,8 +19,6 @@ class Clock(Protocol):
 
 
 class SystemClock:
-    """The computer's clocks."""
-
     speed = 1.0
 
     def now(self) -> Instant:

@@ -68,11 +68,9 @@ class TemperatureSource(Protocol):
 
     def cycles(self) -> AsyncIterator[TemperatureCycle]:
         """Open it and yield each cycle as it completes; raises LinkError when it is lost."""
-        ...
 
     async def close(self) -> None:
         """Release the port. May be called in any state, more than once; never raises."""
-        ...
 
 
 class DisplacementSource(Protocol):
@@ -88,11 +86,9 @@ class DisplacementSource(Protocol):
         `on_problem` takes each row, field or file that cannot be read, in words that name file, line and
         column; `on_reached` is called whenever a look at the files has succeeded.
         """
-        ...
 
     async def close(self) -> None:
         """Release everything. May be called in any state, more than once; never raises."""
-        ...
 
 
 class Cnc(Protocol):
@@ -106,19 +102,15 @@ class Cnc(Protocol):
     @property
     def cannot(self) -> Mapping[str, str]:
         """Which `Capability` this control does not have, with the reason (known after connect)."""
-        ...
 
     async def connect(self) -> None:
         """Connect; raises LinkError or FatalDriverError."""
-        ...
 
     async def read(self, macros: Sequence[int]) -> CncSample:
         """Read the machine's state and the given macro variables in one request."""
-        ...
 
     async def read_macros(self, macros: Sequence[int]) -> dict[int, float | None]:
         """Read macro variables; None where a variable is vacant."""
-        ...
 
     async def write_macros(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
         """Write groups of (macro, value), each group only after the previous one was accepted.
@@ -127,11 +119,9 @@ class Cnc(Protocol):
         `refuse_forbidden` does, before anything is sent; another FatalDriverError (naming the macro) when the control
         refuses a value, after what came before it, and perhaps what came with it, has arrived. Never retries.
         """
-        ...
 
     async def close(self) -> None:
         """Close fully. May be called in any state, more than once; never raises."""
-        ...
 
 
 def refuse_forbidden(groups: Sequence[Sequence[tuple[int, float]]], config: CncConfig, security: Security) -> None:

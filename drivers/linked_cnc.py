@@ -21,11 +21,9 @@ class Link(Protocol):
 
     def abort(self, reason: str) -> None:
         """End the connection at once; who waits gets a LinkError with the first reason."""
-        ...
 
     async def ended(self) -> None:
         """Wait until it is closed; call after `abort`."""
-        ...
 
 
 Answer = TypeVar("Answer")
@@ -43,7 +41,6 @@ class AnsweredLink(asyncio.Protocol, Generic[Answer]):
         """Why the link is lost; None while it stands."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Take the connection."""
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
 

@@ -86,8 +86,6 @@ def cycle_of(row: Row, line: str) -> TemperatureCycle:
 
 
 class RowMaker:
-    """Makes the rows of one source."""
-
     def __init__(self, source: SourceEntry) -> None:
         self._source = source
         self._inputs = source.inputs

@@ -118,8 +118,6 @@ class DisplacementSample:
 
 
 class CncMode(StrEnum):
-    """Operating mode of the CNC."""
-
     MDI = "mdi"
     MEMORY = "memory"
     EDIT = "edit"

@@ -269,17 +269,14 @@ def load_spindle(path: Path) -> SpindleDescription:
 
 
 def spindle_folder() -> Path:
-    """Return the folder of the shipped spindles."""
     return Path(__file__).parent / "data" / "spindles"
 
 
 def shipped_spindles() -> tuple[str, ...]:
-    """Return the names of the shipped spindles."""
     return tuple(sorted(path.stem for path in spindle_folder().glob("*.yaml")))
 
 
 def shipped_materials() -> dict[str, MaterialDescription]:
-    """Return the shipped materials by name."""
     return dict(_read_materials().materials)
 
 

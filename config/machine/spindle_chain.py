@@ -177,7 +177,6 @@ class ChainBuilder:
         )
 
     def section(self, told: SegmentDescription, path: KeyPath) -> Elasticity | None:
-        """Return the constants of a segment's own section."""
         if told.mixture is None and told.layers is None:
             return self.constants(told, path)
         names = list(told.mixture or ()) or [layer.material for layer in told.layers or ()]

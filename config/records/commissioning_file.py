@@ -10,7 +10,6 @@ from config.signing_key import SigningKey
 
 
 def commissioning_text(record: CommissioningRecord) -> str:
-    """Return a record as the text of its file."""
     content = record.model_dump(mode="json")
     for axis in content["axes"].values():
         if axis["slope"] is None:

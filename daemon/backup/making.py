@@ -110,7 +110,6 @@ class Source:
         return self.copy.open("rb") if self.copy is not None else io.BytesIO(self.content)
 
     def described(self) -> BackedUpFile:
-        """Return what the manifest says of it."""
         with self.open() as stream:
             digest = sha256_of_stream(stream)
         size_bytes = self.copy.stat().st_size if self.copy is not None else len(self.content)

@@ -37,7 +37,6 @@ class Places:
 
     @classmethod
     def of(cls, configuration: Configuration) -> "Places":
-        """Return the places that a configuration names."""
         compensation = configuration.compensation
         return cls(
             store=configuration.history.path,

@@ -21,30 +21,23 @@ NO = ("", "n", "no")
 
 
 class Dialogue(Protocol):
-    """One person."""
-
     interactive: bool
     """Questions reach a person; otherwise only what options have answered is known."""
 
     def say(self, text: str) -> None:
         """Show a sentence."""
-        ...
 
     async def confirm(self, question: str) -> bool:
         """Ask for a yes before something happens."""
-        ...
 
     async def confirm_expressly(self, question: str) -> bool:
         """Ask for a yes that no general consent covers."""
-        ...
 
     async def number(self, question: str) -> float | None:
         """Ask for a number, None when the person has none."""
-        ...
 
     async def text(self, question: str) -> str:
         """Ask for a line of text."""
-        ...
 
 
 class TerminalDialogue:

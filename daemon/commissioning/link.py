@@ -72,7 +72,6 @@ class CommissioningLink:
         return self._cnc
 
     def writer(self) -> AuditedWriter:
-        """Return the writer of this connection."""
         return AuditedWriter(self._connected(), self.block, self.clock, self.history, self._telemetry)
 
     async def look(self) -> CncSample:

@@ -27,7 +27,6 @@ class GuardWatch:
         """Runs, one after the other, that moved a slope by a step, and left it short of where its axis stands."""
 
     def follow(self, echo: Echo, sample: CncSample) -> None:
-        """Take one poll."""
         now_s = sample.time.monotonic_s
         if echo.time_s != self._echo_time_s:
             self.silent_s = 0.0

@@ -78,7 +78,6 @@ class References:
 
     @property
     def current(self) -> Reference | None:
-        """The reference in force."""
         return self.memory.in_force
 
     @property

@@ -58,7 +58,6 @@ def wanted_at_start(wanted: Sequence[bool], undecided: Sequence[bool], applied_u
 
 
 def record_changes(journal: Journal, before: OutputMemory, after: OutputMemory, alarm: str) -> None:
-    """Record a change of state and of the alarm."""
     if after.state is not before.state:
         journal.say("state", f"{before.state.value} -> {after.state.value}: {after.reason}")
     if before.tools and not after.tools:

@@ -104,7 +104,6 @@ class ControlTask:
 
     @property
     def reference(self) -> Reference | None:
-        """The reference in force."""
         return self._references.current
 
     @property

@@ -40,7 +40,6 @@ class AxisPositions(NoPositions):
         """Where the axes stood when the reference was set [mm]."""
 
     def take(self, poll: SpindleSpeed) -> None:
-        """Take one poll of the CNC."""
         now_s = poll.monotonic_s
         believed = np.full(len(self.names), np.nan)
         for place, name in enumerate(self.names):

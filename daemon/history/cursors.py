@@ -74,7 +74,6 @@ class Cursor:
 
 
 def cursor_path(store: Path, sink: str) -> Path:
-    """Return where the cursor of a sink stands."""
     return Path(f"{store}.sinks") / f"{sink}.json"
 
 

@@ -231,17 +231,13 @@ class _Source(Protocol):
     """One kind of record with the series that are wanted of it."""
 
     @property
-    def kind(self) -> str:
-        """Name of the kind."""
-        ...
+    def kind(self) -> str: ...
 
     def read(self, reader: SeriesReader, from_s: float, to_s: float) -> Piece:
         """Yield the series with times [s] and values; values that are none are NaN."""
-        ...
 
     def layouts(self, reader: SeriesReader) -> list[tuple[int, dict[str, Place]]]:
         """Return where the series stand in the extremes, by layout."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True)

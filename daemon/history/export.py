@@ -24,11 +24,9 @@ class Tabular(Protocol):
     @property
     def columns(self) -> Sequence[TableColumn]:
         """The columns, in order."""
-        ...
 
     def windows(self) -> Iterable[list[Values]]:
         """Yield per column its values."""
-        ...
 
 
 @contextmanager

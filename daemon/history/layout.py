@@ -55,7 +55,6 @@ class MachineLayout:
 
     @cached_property
     def line_layouts(self) -> dict[str, Layout]:
-        """The sensors of each line."""
         return {
             name: Layout(kind="line", name=name, members=json.dumps(sensor_ids))
             for name, sensor_ids in self.lines.items()

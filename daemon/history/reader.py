@@ -194,7 +194,6 @@ class HistoryReader:
 
     @_named_damage
     def cnc(self, from_utc_s: float, to_utc_s: float) -> CncHistory:
-        """Return the polls of the CNC."""
         frame = self.frame(CNC, from_utc_s, to_utc_s)
         return CncHistory(
             time_s=time_s_of(frame),
@@ -283,7 +282,6 @@ class HistoryReader:
 
     @_named_damage
     def probes(self, from_utc_s: float, to_utc_s: float) -> list[ProbeSample]:
-        """Return what probes measured."""
         found = self._connection.execute(
             "SELECT utc_ms, monotonic_ms, axis, deviation_um, applied_um, thermal_error_um, reference_id, accepted, "
             "reason FROM probes WHERE utc_ms >= ? AND utc_ms < ? ORDER BY utc_ms, id",

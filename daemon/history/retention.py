@@ -24,8 +24,6 @@ SLICE_PAGES = 1024
 
 @dataclass(slots=True, kw_only=True)
 class HousekeepingReport:
-    """What housekeeping did."""
-
     packed_hours: int = 0
     untaken: Counter[str] = field(default_factory=Counter)
     """Stream -> rows removed that a sink had not taken."""

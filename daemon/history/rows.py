@@ -115,7 +115,6 @@ def _flags(quality: np.ndarray[Any, Any], reason: np.ndarray[Any, Any]) -> bytes
 
 
 def cnc_row(layout: MachineLayout, sample: CncSample) -> Parameters:
-    """Return one poll of the CNC."""
     kept = layout.sample_macros
     macros = {str(n): value for n, value in sample.macros.items() if kept is None or n in kept}
     clock_ms = sample.clock_s * 1e3

@@ -61,8 +61,6 @@ class DisplacementHistory:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CncHistory:
-    """Polls of the CNC."""
-
     time_s: FloatArray
     monotonic_s: FloatArray
     mode: tuple[str, ...]

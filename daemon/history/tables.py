@@ -53,8 +53,6 @@ class TableType(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableColumn:
-    """One column."""
-
     name: str
     type: TableType
 

@@ -38,8 +38,6 @@ TABLES = {"temperatures": TEMPERATURES, "writes": WRITES.name}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Export:
-    """A request."""
-
     what: str
     format: str
     from_s: float

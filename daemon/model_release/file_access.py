@@ -22,7 +22,6 @@ class Account:
 
 
 def own_account() -> Account:
-    """Return the account of this process."""
     return Account(user_id=os.geteuid(), group_ids=frozenset({os.getegid(), *os.getgroups()}), is_this_process=True)
 
 

@@ -24,7 +24,6 @@ class Named(Protocol):
     @property
     def model_id(self) -> str:
         """Its name in audit and records."""
-        ...
 
 
 AnyModel = TypeVar("AnyModel", bound=Named)

@@ -101,7 +101,6 @@ class ReleaseRepository:
             os.close(descriptor)
 
     def next_number(self) -> int:
-        """Return the number of the next release."""
         return max((int(folder.name) for folder in self.releases.glob("[0-9]*")), default=0) + 1
 
     def add(self, record: ReleaseRecord, content: bytes, key: SigningKey | None = None) -> None:

@@ -45,8 +45,6 @@ class Role(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Account:
-    """One person."""
-
     name: str
     role: Role
     password_hash: str

@@ -55,7 +55,6 @@ assert DEMO_SEED not in {*TRAINING_SEEDS, *UNSEEN_SEEDS}
 
 
 def published_sensors() -> list[SensorConfig]:
-    """Return the sensors of the published machine."""
     return load_configuration(shipped_file("cfrpmt.yaml")).temperatures.sensors
 
 

@@ -49,8 +49,6 @@ logging.getLogger("paho").setLevel(logging.CRITICAL + 1)  # what matters is rais
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Message:
-    """What is published."""
-
     topic: str
     payload: bytes
     qos: int = 1
@@ -177,7 +175,6 @@ class Broker:
         return done
 
     def problem(self, text: str) -> SinkError:
-        """Return a text that names the broker."""
         return SinkError(f"{self._where}: {text}")
 
     def send(self, message: Message) -> None:

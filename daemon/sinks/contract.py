@@ -51,15 +51,12 @@ class Sink(Protocol):
 
     def open(self, cursor: Cursor) -> Mapping[str, Position]:
         """Connect; return how far each stream was taken: as the system says or, where it cannot, the cursor."""
-        ...
 
     def transfer(self, outbox: Outbox, progress: "Progress") -> bool:
         """Send one piece of what waits and note what was acknowledged; True while there may be more."""
-        ...
 
     def close(self) -> None:
         """Let go of the system."""
-        ...
 
 
 @runtime_checkable
@@ -68,7 +65,6 @@ class Watch(Sink, Protocol):
 
     def look_on(self) -> None:
         """Look and tell while the store cannot be read; raises SinkError."""
-        ...
 
 
 @dataclass(slots=True, kw_only=True)

@@ -130,7 +130,6 @@ class Database:
             raise self.refused(error) from error
 
     def close(self) -> None:
-        """Close the connection."""
         if self._connection is not None:
             self._connection.close()
 
@@ -139,7 +138,6 @@ class Database:
         return self.problem(refusal(error, self._config))
 
     def problem(self, text: str) -> SinkError:
-        """Return a text that names the database."""
         return SinkError(f"{self._where}: {text}")
 
     @contextlib.contextmanager

@@ -111,7 +111,6 @@ class Outbox(HistoryReader):
         return self
 
     def generation(self) -> str:
-        """Return which store this is."""
         with naming_damage(self.path):
             return generation(self._connection)
 

@@ -146,11 +146,9 @@ def _waiting(after: Position, days: list[int]) -> Position:
 class _Files(Protocol):
     def read(self, name: str, columns: list[str] | None) -> pyarrow.Table | None:
         """Return these columns of a file (None: all), or None where there is none."""
-        ...
 
     def put(self, name: str, content: bytes) -> None:
         """Put a file in its place, whole or not at all."""
-        ...
 
 
 class _Folder:
@@ -220,8 +218,6 @@ def _with_what_is_there(file: "DayFile", read: Callable[[list[str] | None], pyar
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DayFile:
-    """One day of a stream."""
-
     content: bytes
     rows: int
     """Of the file: a cycle of temperatures has one per sensor."""

@@ -66,8 +66,6 @@ FAULTS_OF_A_ROW = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredRow:
-    """A row as the database takes it."""
-
     stream: Stream
     machine: str
     utc_ms: int

@@ -82,7 +82,6 @@ class PostgresqlSink:
         return positions
 
     def close(self) -> None:
-        """Close the connection."""
         self._database.close()
 
     def transfer(self, outbox: Outbox, progress: Progress) -> bool:

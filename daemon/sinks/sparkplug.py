@@ -61,7 +61,6 @@ class PrimaryHost:
         self._newest_ms = -1
 
     def update(self, content: bytes) -> None:
-        """Take a message."""
         try:
             said = json.loads(content)
             online, newest_ms = said["online"], said["timestamp"]

@@ -25,7 +25,6 @@ class SpeedOperation:
 
     @property
     def wanted(self) -> bool:
-        """Whether it is to be tuned."""
         return self.place is not None and not self.problem
 
     def same_as(self, other: "SpeedOperation | None") -> bool:
@@ -61,7 +60,6 @@ class SpeedCalls:
         self._over = ""
 
     def configured(self, operation: SpeedOperation) -> SpeedOperationConfig | None:
-        """Return the configuration of an operation."""
         return None if operation.place is None else self._tuning.operations[operation.place]
 
     def update(self, found: MacroValues, now_s: float, sample: CncSample) -> bool:

@@ -67,8 +67,6 @@ NOTHING = OperationKey(tool_number=0.0, speed_rpm=0.0, feed_mm_min=0.0, depth_mm
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpeedCall:
-    """One call of the speed program."""
-
     count: int
     operation: OperationKey
     text: float

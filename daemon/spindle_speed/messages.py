@@ -95,8 +95,6 @@ class Planner(Protocol):
     @property
     def inhibit(self) -> str:
         """Why no speed can be planned now, '' when it can."""
-        ...
 
     async def plan(self, request: PlanRequest) -> PlannedSpeed | None:
         """Return the plan; raises LinkError when the planner is lost before it has answered."""
-        ...

@@ -98,7 +98,6 @@ class Axes:
     logarithmic: bool = False
 
     def colour(self, index: int) -> str:
-        """Return the colour of a curve."""
         return self.curves[index].colour or COLOURS[index % len(COLOURS)]
 
 

@@ -35,7 +35,6 @@ class SourceDisplacements:
                 )
 
     async def close(self) -> None:
-        """Close the source."""
         await self._source.close()
 
 
@@ -63,5 +62,4 @@ class AmongOthers:
             await self._source.close()
 
     async def close(self) -> None:
-        """Close the source."""
         await self._source.close()

@@ -35,8 +35,6 @@ class Look:
 
 
 class FileTail:
-    """One growing file."""
-
     def __init__(self, path: Path, max_line_bytes: int) -> None:
         self.path = path
         self._max_line_bytes = max_line_bytes

@@ -36,16 +36,12 @@ class FocasFormatError(ValueError):
 
 
 class Kind(IntEnum):
-    """What a frame is for."""
-
     OPEN = 0x01
     CLOSE = 0x02
     DATA = 0x21
 
 
 class Direction(IntEnum):
-    """Who says it."""
-
     REQUEST = 1
     ANSWER = 2
     REFUSED = 3
@@ -122,7 +118,6 @@ class FrameBuffer:
 
 
 def encode_frame(frame: Frame, version: int = 1) -> bytes:
-    """Return the bytes of a frame."""
     return _HEADER.pack(SYNC, version, frame.kind, frame.direction, len(frame.body)) + frame.body
 
 

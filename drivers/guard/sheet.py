@@ -101,7 +101,6 @@ def guard_sheet(configuration: Configuration) -> tuple[Section, ...]:
 
 
 def sheet_markdown(configuration: Configuration) -> str:
-    """Return the sheet as Markdown."""
     lines = [f"# Commissioning sheet of the guard macro: {configuration.machine}", ""]
     for section in guard_sheet(configuration):
         lines += [f"## {section.title}", ""]

@@ -19,8 +19,6 @@ SAME_PLACE_MM = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlopedAxis:
-    """One axis with its slope."""
-
     axis: str
     slope: str
     """Entry of `compensation.axes` that is its slope."""

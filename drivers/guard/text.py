@@ -82,7 +82,6 @@ class GuardPrograms:
 
     @classmethod
     def of(cls, macros: MacroMapConfig, guard: GuardConfig) -> "GuardPrograms":
-        """Return the numbers for one macro map."""
         first, flag = guard.program, macros.safe_flag is not None
         return cls(
             guard=first,

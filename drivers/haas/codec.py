@@ -31,8 +31,6 @@ class HaasFormatError(ValueError):
 
 
 class Query(IntEnum):
-    """What is asked by ?Q."""
-
     SERIAL_NUMBER = 100
     SOFTWARE = 101
     MODEL = 102

@@ -55,7 +55,6 @@ class ProgramState:
 
     @classmethod
     def of(cls, answer: Answer) -> "ProgramState":
-        """Return what the fields say."""
         words = [field for field in answer.fields[1:] if field != "STATUS"] or [""]
         named = _PROGRAM.fullmatch(words[0])
         state = words[0] if answer.fields[0] == "STATUS" else "".join(words[1:2])
@@ -82,7 +81,6 @@ class StateVariables:
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """The variables to read."""
         optional = [number for name, number in self._optional.items() if name not in self.cannot]
         axes = (*self._asked.values(), UNIT_CODE) if self._asked else ()
         return (*self.marks, *(number for number in optional if number == self.speed), *axes)

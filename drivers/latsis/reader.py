@@ -146,19 +146,15 @@ class ByteInbox(Protocol):
     @property
     def earliest_end(self) -> int:
         """Byte of the stream before which the cycle under way, or the next one, cannot be complete."""
-        ...
 
     def put(self, data: bytes, arrived: Instant) -> bool:
         """Queue bytes; return False when they were dropped. May be called in any thread."""
-        ...
 
     def fail(self, error: Exception) -> None:
         """Queue the error that ended the reading; may be called in any thread."""
-        ...
 
     def wake(self) -> None:
         """Have the queue looked at; to be called in the event loop."""
-        ...
 
 
 class LineReader(Protocol):
@@ -166,11 +162,9 @@ class LineReader(Protocol):
 
     def start(self, inbox: ByteInbox) -> None:
         """Begin to read; called in the event loop."""
-        ...
 
     async def stop(self) -> None:
         """End reading and release the port; returns when it is released. May be called more than once."""
-        ...
 
 
 class PortReader:
@@ -184,7 +178,6 @@ class PortReader:
         self._thread: threading.Thread | None = None
 
     def start(self, inbox: ByteInbox) -> None:
-        """Start the thread."""
         self._stop = StopSignal()
         self._thread = threading.Thread(
             target=self._read_port,

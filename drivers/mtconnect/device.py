@@ -59,8 +59,6 @@ MOST_FAULTS = 1000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DataItem:
-    """One data item of the device."""
-
     item_id: str
     name: str
     kind: str
@@ -190,12 +188,10 @@ class Device:
 
     @property
     def run(self) -> CncRun:
-        """Whether a program runs."""
         return RUNS.get(self._text("execution"), CncRun.UNKNOWN)
 
     @property
     def mode(self) -> CncMode:
-        """Mode of the control."""
         return MODES.get(self._text("mode"), CncMode.UNKNOWN)
 
     @property

@@ -38,7 +38,6 @@ class Received(Buffer):
 
     @classmethod
     def of(cls, buffer: Buffer) -> Self:
-        """Return what is left of a buffer."""
         return cls(buffer.read(len(buffer)))
 
     def read(self, size: int) -> bytes:
@@ -91,7 +90,6 @@ class ReceivedMessage(MESSAGE):  # type: ignore[misc]
     """An answer whose decoding ends with its bytes."""
 
     def body(self) -> Received:
-        """Return what it holds."""
         return Received(b"".join(chunk.Body for chunk in self._chunks))
 
 
@@ -122,7 +120,6 @@ class BoundedProtocol(UASocketProtocol):
         self._connection = BoundedConnection(security_policy, limits)
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes from the socket."""
         data, at, self.receive_buffer = (self.receive_buffer or b"") + data, 0, None
         while self.transport is not None and not self.transport.is_closing() and len(data) - at >= SIZE.size:
             (size,) = SIZE.unpack_from(data, at)

@@ -23,8 +23,6 @@ KINDS: Any = OBJECT | VARIABLE
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Variable:
-    """One variable of the server."""
-
     namespace: str
     """URI."""
     node: str
@@ -36,7 +34,6 @@ class Variable:
 
     @property
     def name(self) -> str:
-        """Its own name."""
         return self.path.rpartition("/")[2]
 
 

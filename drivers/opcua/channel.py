@@ -50,7 +50,6 @@ class Channel:
         return header + encrypted
 
     def received(self, data: bytes) -> None:
-        """Take bytes from the socket."""
         if self._protocol.receive_buffer or not self._taken(data):
             self._left_to_library(data)
 

@@ -22,11 +22,9 @@ class Macros(Protocol):
 
     def get(self, number: int) -> float | None:
         """Return the variable, None where it is vacant; raises KeyError for a number that does not exist."""
-        ...
 
     def set(self, number: int, value: float | None) -> None:
         """Set the variable (None: vacant); raises KeyError for a number that does not exist."""
-        ...
 
 
 class SimulatedNc(Protocol):
@@ -60,23 +58,18 @@ class SimulatedMachine(Protocol):
     @property
     def time_s(self) -> float:
         """Simulated seconds since its start."""
-        ...
 
     @property
     def nc(self) -> SimulatedNc: ...
 
     def advance(self, to_s: float) -> None:
         """Move physics and NC on to the simulated time `to_s` [s]; a past time is ignored."""
-        ...
 
     def register_codes(self, sensor_ids: Sequence[int]) -> list[int]:
         """Return the register contents that the sensors' nodes read now, in the order asked for."""
-        ...
 
     def displacement_um(self) -> dict[str, float]:
         """Return the displacement sensors' readings by channel [um]."""
-        ...
 
     def truth(self) -> dict[str, AxisTruth]:
         """Return the true error per axis; empty before the first work positioning."""
-        ...

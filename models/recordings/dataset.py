@@ -68,7 +68,6 @@ class Recording:
 
     @property
     def rows(self) -> int:
-        """Number of rows."""
         return len(self.time_s)
 
     @property

@@ -36,7 +36,6 @@ class SpeedStrategy(Protocol):
 
     def renew(self, now_s: float, phase: Phase, known: EstimatedToolPoint | None) -> SpeedInForce:
         """Return the pair in force, given the time [s], what the machine does and what is known of the tool point."""
-        ...
 
 
 class ProgrammedSpeed:
@@ -46,7 +45,6 @@ class ProgrammedSpeed:
         self._operation = operation
 
     def renew(self, now_s: float, phase: Phase, known: EstimatedToolPoint | None) -> SpeedInForce:
-        """Return the programmed pair."""
         return pair_at(self._operation, self._operation.demand.programmed_rpm, "programmed")
 
 

@@ -30,4 +30,3 @@ class ToolPointEstimator(Protocol):
         `time_s`: time of the reading, never before that of the last call [s]. `degc`: one value for each sensor of the
         machine [degC], NaN where there is none.
         """
-        ...

@@ -103,11 +103,9 @@ class ToolPointResponse(Protocol):
 
     def receptance_m_per_n(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return the receptance matrix [m/N], shape (n, 2, 2): displacement X, Y per force X, Y."""
-        ...
 
     def frequencies_hz(self, highest_tooth_passing_hz: float) -> FloatArray:
         """Return ascending frequencies [Hz] dense enough to show every resonance."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,7 +123,6 @@ class ModalResponse:
         return (0, 0, self.xx), (0, 1, self.xy), (1, 0, self.yx), (1, 1, self.yy)
 
     def modes(self) -> tuple[Mode, ...]:
-        """Return every mode."""
         return (*self.xx, *self.yy, *self.xy, *self.yx)
 
     def receptance_m_per_n(self, frequency_hz: FloatArray) -> ComplexArray:

@@ -75,38 +75,30 @@ class OnlineModel(Protocol):
     @property
     def history_min(self) -> float:
         """So much history the states need [min]; 0 for a model without states."""
-        ...
 
     @property
     def memory_min(self) -> float:
         """So much of the past the states, or a watch of the sensors alone, remember [min]; at least `history_min`."""
-        ...
 
     @property
     def inputs(self) -> str:
         """What the history must hold, in words."""
-        ...
 
     @property
     def filled(self) -> float:
         """How far the states are known, 0..1: what a reference now would be worth."""
-        ...
 
     def rebuild(self, history: Samples) -> None:
         """Fill what remembers the past from the history; once, before the first sample."""
-        ...
 
     def on_sample(self, time_min: float, degc: FloatArray, speed_rpm: float) -> None:
         """Take temperatures [degC] and spindle speed [1/min], NaN where unknown."""
-        ...
 
     def jumped(self, jump_k: FloatArray) -> None:
         """Take that inputs count at other levels from now on [K]: what is remembered of them is at these."""
-        ...
 
     def set_reference(self, reference: OnlineReference) -> tuple[int, ...]:
         """Count from this reference from now on; return the IDs of the sensors that count again by that."""
-        ...
 
     def estimate(
         self, time_min: float, degc: FloatArray, absent: npt.NDArray[np.bool_]
@@ -117,27 +109,21 @@ class OnlineModel(Protocol):
         returns counts from the reference again, with lags of its own; one that the reference does not know counts
         on from where it was imputed.
         """
-        ...
 
     def contributions_um(self) -> FloatArray | None:
         """Return what each sensor adds to the latest estimate [um], shape (n_sensors, n_channels); None before one."""
-        ...
 
     def level_um(self, uncertainty_k: FloatArray) -> float:
         """Return by how much the thermal error may be wrong if sensors' levels are wrong by so much [K]."""
-        ...
 
     @property
     def reference_degc(self) -> FloatArray | None:
         """Temperatures that a reference holds with sensors set anew [degC]; None where `kept` tells that instead."""
-        ...
 
     @property
     def excluded(self) -> dict[int, str]:
         """Sensors that must not count until the next reference, by ID, each with the sign by which it was found."""
-        ...
 
     @property
     def kept(self) -> dict[str, Any] | None:
         """What sensors that returned count from, as JSON, where the reference itself does not hold it."""
-        ...

@@ -20,81 +20,64 @@ class ThermalModel(Protocol):
     @property
     def model_id(self) -> str:
         """Its name in history, audit and records."""
-        ...
 
     @property
     def kind(self) -> str:
         """How it was fitted."""
-        ...
 
     @property
     def channels(self) -> tuple[str, ...]:
         """Displacement channels that it estimates."""
-        ...
 
     @property
     def sensor_ids(self) -> tuple[int, ...]:
         """Sensor IDs of the machine, in the order in which it takes temperatures."""
-        ...
 
     @property
     def sensor_names(self) -> tuple[str, ...]:
         """Column names of the same sensors in the training data."""
-        ...
 
     @property
     def axis_positions(self) -> tuple[str, ...]:
         """The last of `sensor_names`, when they are axis positions [mm], which the control must give."""
-        ...
 
     @property
     def pivots_mm(self) -> Mapping[str, float]:
         """Channels that are slopes along an axis [um/m], and where each adds nothing [mm]."""
-        ...
 
     @property
     def band_um(self) -> FloatArray:
         """Half width of the prediction band inside the domain [um], shape (n_channels,); NaN: nothing was held out."""
-        ...
 
     @property
     def probing(self) -> Wander | None:
         """How what it misses wanders between probes, per channel; None: not known."""
-        ...
 
     @property
     def refused(self) -> str | None:
         """Why its training refused it; None when it may be activated."""
-        ...
 
     @property
     def hyper_parameters(self) -> HyperParameters:
         """How it was fitted, by name; `held_out_relative_rmse` where something was held out."""
-        ...
 
     @property
     def created(self) -> str:
         """Date and time of the fit, ISO 8601."""
-        ...
 
     @property
     def period_s(self) -> float | None:
         """Time over which its inputs must be means [s]; None where it does not matter."""
-        ...
 
     @property
     def training(self) -> tuple[Any, ...]:
         """What each recording contributed, see `TrainingData`."""
-        ...
 
     @property
     def test_vectors(self) -> tuple[Any, ...]:
         """Inputs and outputs of the fit, which were checked when it was made."""
-        ...
 
-    def runtime(self, machine: Machine) -> OnlineModel:
-        """Return the model in use on a machine."""
-        ...
+    def runtime(self, machine: Machine) -> OnlineModel: ...
 
     def recorded_um(
         self, time_min: FloatArray, degc: FloatArray, speed_rpm: FloatArray | None, first: int
@@ -104,11 +87,9 @@ class ThermalModel(Protocol):
         `time_min` is of shape (n,) [min], `degc` of shape (n, n_sensors), finite [degC], and `speed_rpm` of shape
         (n,) [1/min], NaN where it is not known.
         """
-        ...
 
     def to_json(self) -> str:
         """Return the text of its file."""
-        ...
 
 
 Loader = Callable[[bytes], ThermalModel]

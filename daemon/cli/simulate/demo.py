@@ -139,7 +139,6 @@ def _check_faults(path: Path) -> None:
 
 
 def page_address(port: int | None) -> str:
-    """Return where the pages are."""
     return f"http://127.0.0.1:{port}/"
 
 

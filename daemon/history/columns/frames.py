@@ -39,8 +39,6 @@ class ColumnType(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
-    """One column of a kind."""
-
     name: str
     type: ColumnType
     relative_to: str | None = None

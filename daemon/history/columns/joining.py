@@ -96,7 +96,6 @@ def reference_from_row(row: tuple[Any, ...]) -> Reference:
 
 
 def probe_from_row(row: tuple[Any, ...]) -> ProbeSample:
-    """Return a row of probes as a record."""
     utc_ms, monotonic_ms, axis, deviation_um, applied_um, thermal_error_um, reference_id, accepted, reason = row
     return ProbeSample(
         time=Instant(monotonic_s=monotonic_ms / 1e3, utc_s=utc_ms / 1e3, real_s=monotonic_ms / 1e3),

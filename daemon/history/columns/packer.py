@@ -25,7 +25,6 @@ _CHUNK_LIMIT = 2**24
 
 
 def write_hour(stream: BinaryIO, hour: PackedHour) -> None:
-    """Write one chunk to a stream."""
     header = asdict(hour)
     del header["data"], header["extremes"]
     text = json.dumps(header | {"sizes": (len(hour.data), len(hour.extremes))}).encode("ascii")

@@ -51,7 +51,6 @@ class Actions:
         self._desk, self._report, self._tags = desk, report, tags
 
     def add_all(self, space: Space) -> None:
-        """Add the methods."""
         for name, (words, inputs, types) in METHODS.items():
             method = Method((INDEX, name), name, words, self._doing(name), inputs=types, may=_may)
             space.add(method, self._tags.machine, COMPONENT)

@@ -44,8 +44,6 @@ class Person:
 
 @dataclass(slots=True, kw_only=True)
 class Session:
-    """A login."""
-
     name: str
     password_hash: str
     csrf: str
@@ -191,7 +189,6 @@ def _basic(request: Request) -> tuple[str, str] | None:
 
 
 def address_of(request: Request) -> str:
-    """Return the address that a request came from."""
     return request.client.host if request.client is not None else "unknown"
 
 

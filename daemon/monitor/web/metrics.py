@@ -36,7 +36,6 @@ class PresentMetrics(Collector):
         return iter(())
 
     def collect(self) -> Iterator[Metric]:
-        """Yield the metrics."""
         state = GaugeMetricFamily(
             "toolpoint_output_state_number",
             f"State of the output: {', '.join(f'{number} {name}' for name, number in STATES.items())}",

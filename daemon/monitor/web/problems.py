@@ -29,7 +29,6 @@ class ProblemError(Exception):
 
 
 def problem_response(status: int, detail: str, headers: dict[str, str] | None = None) -> Response:
-    """Return problem details as a response."""
     content = Problem(type="about:blank", title=HTTPStatus(status).phrase, status=status, detail=detail)
     return Response(json.dumps(content.model_dump()), status, headers=headers, media_type=PROBLEM_TYPE)
 

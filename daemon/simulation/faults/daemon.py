@@ -98,8 +98,6 @@ class VirtualHousekeeping:
 
 
 class CampaignDaemon:
-    """One life of the daemon."""
-
     def __init__(self, configuration: Configuration, clock: VirtualClock, machine: Channel, acknowledged: int) -> None:
         self._configuration = configuration
         self._clock = clock

@@ -57,7 +57,6 @@ class CampaignModels:
         return self._ids[self.current]
 
     def loaded(self) -> dict[str, ThermalModel]:
-        """Return every model by its identity."""
         return {self._ids[name]: model_from_json(text, self.path.name) for name, text in self._texts.items()}
 
     def is_watching(self, model_id: str | None) -> bool:

@@ -31,8 +31,6 @@ def cycle_key(number: int, utc_ms: int) -> int:
 
 
 class DaemonProcess:
-    """One life of the daemon."""
-
     def __init__(self, config_path: Path, *, epoch_utc_s: float, seed: str, log_path: Path) -> None:
         self.channel, far = channel_pair()
         self._acknowledged, write_end = os.pipe()

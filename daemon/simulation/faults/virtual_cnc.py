@@ -45,7 +45,6 @@ class VirtualCnc:
         self._nc_clock_moved_s = 0.0
 
     async def connect(self) -> None:
-        """Connect."""
         await self._answer("connect")
         self._open = True
         self._nc_clock_moved_s = self._clock.monotonic_s

@@ -46,11 +46,9 @@ class World(Protocol):
 
     def pass_time(self, timeout_s: float | None) -> None:
         """Move the clock on by at most `timeout_s` (None: to whatever comes next) and deliver what happens then."""
-        ...
 
     def hold(self) -> bool:
         """Tell whether time must wait for the computer (a disk that is behind, for instance)."""
-        ...
 
 
 class _VirtualSelector(selectors.DefaultSelector):

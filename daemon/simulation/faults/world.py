@@ -31,25 +31,19 @@ class Watcher(Protocol):
 
     def cycle(self, time_s: float, line: str, *, whole: bool, heard: bool) -> None:
         """A pass over a line has ended; `heard`: a listener got bytes of it, `whole`: all of them, undisturbed."""
-        ...
 
     def applied(self, time_s: float, applied_um: dict[str, float], cutting: bool) -> None:
         """What the NC applies, and whether the tool is in the work."""
-        ...
 
     def asked(
         self, time_s: float, counter: int, kind: int, axis: int, value_mm: float, *, nonsense: bool = False
     ) -> None:
         """The NC program has asked for something."""
-        ...
 
     def begun(self, time_s: float, happening: Happening) -> None:
         """Something happens."""
-        ...
 
-    def ended(self, time_s: float, happening: Happening) -> None:
-        """It is over."""
-        ...
+    def ended(self, time_s: float, happening: Happening) -> None: ...
 
 
 @dataclass(order=True, slots=True)

@@ -95,8 +95,6 @@ class Committed:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recorded:
-    """What the machines recorded."""
-
     commits: list[Committed]
     rows: int
     dropped: int
@@ -129,8 +127,6 @@ class _Clock:
 
 
 class FleetMachine:
-    """One machine and its store."""
-
     def __init__(self, plan: FleetPlan, number: int, configuration: Configuration) -> None:
         self.rows = 0
         self.commits: list[Committed] = []

@@ -44,8 +44,6 @@ BELIEVE_ALL = {"noise_degc": 1000.0, "max_change_degc": 1000.0, "max_gap_change_
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
-    """What is measured."""
-
     mode: Mode
     cleansing: bool
     switches: int

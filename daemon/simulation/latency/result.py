@@ -21,8 +21,6 @@ STATISTICS = ("mean", "p50", "p99", "max", "samples")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Move:
-    """The delay of one move."""
-
     number: int
     time_s: float
     hot: bool

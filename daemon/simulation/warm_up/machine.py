@@ -22,22 +22,16 @@ class MillingMachine(Protocol):
     @property
     def sensors(self) -> Sequence[SensorConfig]:
         """The temperature sensors, in the order of the readings."""
-        ...
 
     @property
-    def day(self) -> Day:
-        """The day on which it mills."""
-        ...
+    def day(self) -> Day: ...
 
     @property
     def softer_axis(self) -> str:
         """The axis that responds more at its resonance."""
-        ...
 
     def at(self, node_degc: FloatArray) -> VibrationModes:
         """Return the true modes at the temperatures of all nodes [degC]."""
-        ...
 
     def estimator(self) -> ToolPointEstimator:
         """Return a new estimator of the tool point, as the user has fitted it; it has had no temperature yet."""
-        ...

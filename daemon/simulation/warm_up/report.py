@@ -15,7 +15,6 @@ NAMES = {"programmed": "programmed speed", "rule": "published rule", "tuned": "t
 
 
 def warm_up_content(runs: Sequence[WarmUpRun], request: WarmUpRequest) -> dict[str, Any]:
-    """Return the runs as JSON."""
     low, high = request.limits.range_rpm(request.demand.programmed_rpm)
     return {
         "programmed_rpm": request.demand.programmed_rpm,

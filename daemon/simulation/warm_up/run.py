@@ -60,8 +60,6 @@ class WarmUpRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WarmUpMinute:
-    """One cut of a minute."""
-
     time_min: float
     pair: SpeedInForce
     true_hz: dict[str, float]

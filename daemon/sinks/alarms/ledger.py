@@ -51,7 +51,6 @@ class Alarm:
 
     @property
     def key(self) -> Key:
-        """What makes it the same alarm."""
         return self.kind, self.subject
 
 

@@ -59,7 +59,6 @@ class Message:
         return "\n".join(lines) + "\n"
 
     def document(self) -> dict[str, Any]:
-        """Return it for programs."""
         return {
             "id": self.number,
             "machine": printable(self.machine),
@@ -75,11 +74,9 @@ class Messenger(Protocol):
 
     def send(self, message: Message) -> str:
         """Bring a message; raises SinkError when nobody gets it, and returns who does not, '' when all do."""
-        ...
 
 
 def in_words(entry: Entry) -> str:
-    """Return what an entry says in one sentence."""
     alarm = entry.alarm
     what = " ".join(filter(None, (NAMES[alarm.kind], alarm.subject)))
     times = f" ({alarm.times} times)" if alarm.times > 1 else ""

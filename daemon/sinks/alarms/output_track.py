@@ -24,8 +24,6 @@ class Stay:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OutputTrack:
-    """Where the output is."""
-
     now: Stay | None = None
     """None: nothing is known yet."""
     faults: tuple[str, ...] = ()

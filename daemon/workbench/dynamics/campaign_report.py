@@ -22,7 +22,6 @@ STYLES = ("solid", "dashed", "dotted")
 
 
 def write_report(path: Path, result: CampaignResult, spindle: Spindle) -> None:
-    """Write the report as one page."""
     figures = [_temperatures(result)]
     for axis in result.model.axes:
         figures += [_responses(result, spindle, axis), _properties(result, axis)]

@@ -41,8 +41,6 @@ CHOICE_POINTS = {"zoa": 601, "sdm": 121}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LobesRequest:
-    """What lobes are asked for."""
-
     method: str
     """`zoa` or `sdm`."""
     from_rpm: float

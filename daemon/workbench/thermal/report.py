@@ -31,8 +31,6 @@ CONSTANT_SPEED = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportChoices:
-    """What the report is asked for."""
-
     ahead_min: float
     """Time ahead over which a drift counts [min]."""
     tolerance_um: float

@@ -54,7 +54,6 @@ def node_id(key: NodeKey) -> bytes:
 
 
 def qualified_name(namespace: int, name: str) -> bytes:
-    """Return a browse name."""
     return struct.pack("<H", namespace) + string(name)
 
 

@@ -54,7 +54,6 @@ class Request:
         return struct.unpack(form, self._read(lambda: self.body.read(size)))
 
     def structure(self, kind: Any) -> Any:
-        """Return the next structure."""
         return self._read(lambda: struct_from_binary(kind, self.body))
 
     def count(self, most: int = MOST_NODES) -> int:
@@ -124,7 +123,6 @@ def results(entries: list[bytes], words: list[str] | None = None) -> bytes:
 
 
 def status_bytes(status: int) -> bytes:
-    """Return a status on its own."""
     return status.to_bytes(4, "little")
 
 

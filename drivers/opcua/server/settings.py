@@ -23,15 +23,12 @@ class Users(Protocol):
 
     async def login(self, name: str, password: str, address: str) -> Any:
         """Return the person; raises LoginRefusedError."""
-        ...
 
     def present(self, person: Any) -> Any:
         """Return the person as the accounts are now, None when they may no longer log in."""
-        ...
 
     def left(self, person: Any) -> None:
         """Note that a person's session has ended."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

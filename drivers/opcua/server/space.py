@@ -204,7 +204,6 @@ class Space:
         return node
 
     def variables(self) -> Iterator[Variable]:
-        """Yield every variable."""
         return (node for node in self.nodes.values() if isinstance(node, Variable))
 
     def browsed(self, node: Node, direction: int, kind: NodeKey, *, subtypes: bool, classes: int) -> Iterable[bytes]:

@@ -28,7 +28,6 @@ class Views:
         self._made = 0
 
     async def read(self, request: Request, person: Any) -> bytes:
-        """Answer Read."""
         _, stamps = request.unpacked("<di")
         if stamps not in range(4):
             raise ServiceError(StatusCodes.BadTimestampsToReturnInvalid)
@@ -52,7 +51,6 @@ class Views:
         return results([status_bytes(StatusCodes.BadNotWritable)] * request.count())
 
     async def browse(self, request: Request) -> bytes:
-        """Answer Browse."""
         view = request.structure(ua.ViewDescription)
         (most,) = request.unpacked("<I")
         if not view.ViewId.is_null():
@@ -85,7 +83,6 @@ class Views:
         return _browsed(StatusCodes.Good, point, found[:most])
 
     async def browse_next(self, request: Request) -> bytes:
-        """Answer BrowseNext."""
         (release,) = request.unpacked("<?")
         entries = []
         async for point in request.texts(CONTINUATION_POINTS):

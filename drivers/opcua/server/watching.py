@@ -76,7 +76,6 @@ class Watching:
         self._publisher.wait(waits)
 
     async def republish(self, request: Request) -> bytes:
-        """Answer Republish."""
         number, sequence = request.unpacked("<II")
         found = self._known(number).kept.get(sequence)
         if found is None:

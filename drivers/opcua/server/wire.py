@@ -66,7 +66,6 @@ class Handshakes:
 
     @contextlib.asynccontextmanager
     async def turn(self) -> Any:
-        """Wait for the turn."""
         async with self._lock:
             yield
             await asyncio.sleep(HANDSHAKE_PAUSE_S)

@@ -86,7 +86,6 @@ class CfrpMachine:
 
     @property
     def nc(self) -> NumericalControl:
-        """The NC's state."""
         return self._nc
 
     def initialise_macros(self) -> None:

@@ -105,7 +105,6 @@ class _WatchedMacros:
         return self._macros.get(number)
 
     def set(self, number: int, value: float | None) -> None:
-        """Set the variable."""
         self._macros.set(number, value)
         if number == self._number:
             self._tell(value)
@@ -134,7 +133,6 @@ class PackedMachine:
 
     @property
     def nc(self) -> SimulatedNc:
-        """The NC's state."""
         return self._machine.nc
 
     def began(self, origin_s: float) -> None:

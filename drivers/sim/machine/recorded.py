@@ -37,17 +37,14 @@ class PlayedRecording(Protocol):
     @property
     def time_s(self) -> FloatArray:
         """Times, increasing [s], shape (n,)."""
-        ...
 
     @property
     def temperatures_degc(self) -> FloatArray:
         """Temperatures [degC], shape (n, n_sensors), then axis positions [mm], NaN where missing."""
-        ...
 
     @property
     def axis_positions(self) -> tuple[str, ...]:
         """Names of the last columns of these, when they are axis positions."""
-        ...
 
     @property
     def displacement_names(self) -> tuple[str, ...]: ...
@@ -55,12 +52,10 @@ class PlayedRecording(Protocol):
     @property
     def displacements_um(self) -> FloatArray:
         """Displacements [um], shape (n, n_channels), NaN where missing."""
-        ...
 
     @property
     def speed_rpm(self) -> FloatArray | None:
         """Spindle speed [1/min], shape (n,); None when it was not recorded."""
-        ...
 
 
 class RecordedMachine:
@@ -109,7 +104,6 @@ class RecordedMachine:
 
     @property
     def nc(self) -> NumericalControl:
-        """The NC's state."""
         return self._nc
 
     @property
@@ -244,7 +238,6 @@ class BlockMeans:
         self._done: list[FloatArray] = []
 
     def add(self, time_s: float, error_um: FloatArray, applied_um: FloatArray) -> None:
-        """Take one moment into its block."""
         number = int(time_s // self.block_s)
         if number != self._number:
             self._close()

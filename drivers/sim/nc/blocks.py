@@ -18,17 +18,12 @@ class NcError(Exception):
 
 
 class Block(Protocol):
-    """One compiled block."""
-
     @property
     def action(self) -> Callable[[Any], int | None]:
         """What it does with its interpreter; returns the index of the block to go on with, None for the next."""
-        ...
 
 
 class Program(Protocol):
-    """One compiled program."""
-
     @property
     def name(self) -> str: ...
 
@@ -37,7 +32,6 @@ class Program(Protocol):
 
     def where(self, index: int) -> str:
         """Return program, line and text of a block."""
-        ...
 
 
 class Level(Protocol):
@@ -101,7 +95,6 @@ class BlockInterpreter(ABC, Generic[L]):
         raise NcError(f"no end after {MOST_BLOCKS} blocks", where=self.where())
 
     def step(self) -> None:
-        """Run one block."""
         level = self._levels[-1]
         index = level.index
         if index >= len(level.program.blocks):

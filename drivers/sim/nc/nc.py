@@ -15,8 +15,6 @@ CLOCK_WRAP_S = 2_147_483.648
 
 
 class ModeCode(IntEnum):
-    """Operating mode."""
-
     MDI = 0
     MEM = 1
     EDIT = 3
@@ -57,7 +55,6 @@ class MacroTable:
         self._values[number] = None if value is None else float(value)
 
     def power_off(self) -> None:
-        """Clear what power-off clears."""
         for number in VOLATILE:
             self._values[number] = None
 

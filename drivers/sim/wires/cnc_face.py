@@ -19,20 +19,15 @@ class CncServer(Protocol):
     @property
     def port(self) -> int:
         """The port that is listened on (known after start)."""
-        ...
 
     @property
     def endpoint(self) -> str:
         """Where clients find it (known after start)."""
-        ...
 
-    async def start(self) -> None:
-        """Listen."""
-        ...
+    async def start(self) -> None: ...
 
     async def stop(self) -> None:
         """Close all connections and stop listening. May be called more than once."""
-        ...
 
 
 def configured_port(config: CncConfig) -> int:

@@ -123,8 +123,6 @@ class SimulatedHaasServer(Listener["_Connection"]):
 
 
 class _Connection(asyncio.Protocol):
-    """One connection of a client."""
-
     def __init__(self, server: SimulatedHaasServer) -> None:
         self._server = server
         self._buffer = LineBuffer()

@@ -36,7 +36,6 @@ def encode_frame(grammar: GrammarConfig, wire_id: int, digits: int, value: int, 
 
 
 def checksum(kind: str, text: bytes) -> int:
-    """Return the checksum of a frame's text."""
     if kind == "crc8":
         remainder = 0
         for bit in (byte >> shift & 1 for byte in text for shift in range(7, -1, -1)):
@@ -108,7 +107,6 @@ class LineTransmitter:
         """Time that a whole pass takes on the wire [s]."""
 
     def plugged(self, now_s: float) -> bool:
-        """Tell whether the line's adapter is plugged in."""
         return not any(fault.active(now_s) for fault in self._unplugged)
 
     @property

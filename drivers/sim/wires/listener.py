@@ -8,11 +8,8 @@ HOST = "127.0.0.1"
 
 
 class Connection(Protocol):
-    """One client's connection."""
-
     def abort(self) -> None:
         """End it at once."""
-        ...
 
 
 C = TypeVar("C", bound=Connection)
@@ -43,7 +40,6 @@ class Listener(ABC, Generic[C]):
         return f"{HOST}:{self._port}"
 
     async def start(self) -> None:
-        """Listen."""
         self._server = await self._listen(self._port)
         self._port = int(self._server.sockets[0].getsockname()[1])
 

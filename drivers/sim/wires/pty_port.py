@@ -30,7 +30,6 @@ class PtyPort:
 
     @property
     def plugged(self) -> bool:
-        """The port exists."""
         return self._master is not None
 
     @property

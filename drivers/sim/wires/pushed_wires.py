@@ -47,7 +47,6 @@ class Pushed(ABC):
         self.stopped = now_s >= until_s
 
     async def close(self) -> None:
-        """Be gone."""
         self.stopped = True
 
 
@@ -61,7 +60,6 @@ class MqttFace(Pushed):
         self._broker = SimulatedBroker(source.connection.port)
 
     async def open(self) -> None:
-        """Listen."""
         await self._broker.start()
 
     def send(self, numbers: dict[int, float], at_s: float) -> bool:
@@ -126,7 +124,6 @@ class LinesFace(Pushed):
         self._path.write_text("", encoding="utf-8")
 
     def send(self, numbers: dict[int, float], at_s: float) -> bool:
-        """Append a line."""
         content: Any = None
         for each in self._inputs:
             content = _placed(content, each.field, numbers[each.id])

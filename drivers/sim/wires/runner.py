@@ -45,11 +45,9 @@ class Witness(Protocol):
 
     def began(self, origin_s: float) -> None:
         """Take the clock's time at which the machine's time was 0 [s]."""
-        ...
 
     def passed(self, line: str, start_s: float, end_s: float) -> None:
         """Take a pass over a line whose last bytes go out now; times are the machine's [s]."""
-        ...
 
 
 async def run_simulated_machine(

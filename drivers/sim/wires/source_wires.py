@@ -50,15 +50,12 @@ class Face(Protocol):
 
     async def open(self) -> None:
         """Be there for the daemon."""
-        ...
 
     async def step(self, now_s: float, until_s: float) -> None:
         """Do what is due at a simulated time [s]; from `until_s` on no cycle begins."""
-        ...
 
     async def close(self) -> None:
         """Be gone. May be called more than once."""
-        ...
 
 
 def face_of(source: SourceConfig, read: Temperatures, utc_of: UtcOf = float) -> Face:
@@ -134,7 +131,6 @@ class _Box:
         )
 
     async def open(self) -> None:
-        """Answer."""
         await self._server.start()
 
     async def step(self, now_s: float, until_s: float) -> None:

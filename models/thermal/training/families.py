@@ -86,7 +86,6 @@ class Problem(Protocol):
 
     def fit(self, left_out: frozenset[int] = frozenset()) -> Fit:
         """Return the fit on everything but some folds."""
-        ...
 
 
 Prepare = Callable[[Inputs, BoolArray, IntArray, float | None], Problem]

@@ -65,7 +65,6 @@ class Inputs:
 
     @property
     def rows(self) -> int:
-        """Number of rows."""
         return len(self.time_min)
 
     @property

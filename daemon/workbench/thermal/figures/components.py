@@ -41,7 +41,6 @@ def campaign_components(campaign: Campaign, progress: Progress) -> Components:
 
 
 def component_figures(campaign: Campaign, found: Components) -> list[Figure]:
-    """Return the figures of the principal components."""
     sensors = np.arange(1.0, 1.0 + len(campaign.temperature_names))
     loadings = [
         Axes(

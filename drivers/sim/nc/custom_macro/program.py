@@ -24,15 +24,11 @@ class Running(Protocol):
     @property
     def frame(self) -> Frame:
         """Local variables of the present level, and the control."""
-        ...
 
     def alarm(self, number: int, text: str) -> None:
         """End the program with an alarm."""
-        ...
 
-    def words(self, words: list[tuple[str, float | None]]) -> None:
-        """Do what a block of words says."""
-        ...
+    def words(self, words: list[tuple[str, float | None]]) -> None: ...
 
 
 Action = Callable[[Running], int | None]
@@ -46,8 +42,6 @@ OPERATOR_MESSAGE, ALARM = 3006, 3000
 
 @dataclass(frozen=True, slots=True)
 class CompiledBlock:
-    """One block of a program."""
-
     line: int
     """Line of the text, counted from 1."""
     text: str
@@ -56,8 +50,6 @@ class CompiledBlock:
 
 @dataclass(slots=True)
 class MacroProgram:
-    """One compiled O-program."""
-
     number: int
     title: str
     blocks: list[CompiledBlock] = field(default_factory=list)

@@ -85,7 +85,6 @@ class Reader:
         return True
 
     def whole(self) -> int:
-        """Take a whole number."""
         text = self.take()
         if not text.isdigit():
             raise NcError(f"a whole number is expected instead of {text!r} in {self.line!r}")

@@ -64,7 +64,6 @@ class SinumerikControl:
         self._timers: dict[int, tuple[float, float]] = {}
 
     def parameter(self, number: int) -> float:
-        """Return an R parameter."""
         try:
             value = self.common.get(number)
         except KeyError as error:
@@ -72,7 +71,6 @@ class SinumerikControl:
         return VACANT_R if value is None else value
 
     def set_parameter(self, number: int, value: float) -> None:
-        """Write an R parameter."""
         if not math.isfinite(value):
             raise NcError(f"R{number} cannot hold {value}")
         try:
@@ -94,7 +92,6 @@ class SinumerikControl:
         self._timers[number] = (value, self.clock_s)
 
     def axis(self, name: str) -> int:
-        """Return the place of an axis."""
         if name not in self.addresses:
             raise NcError(f"this control has the axes {' '.join(self.addresses)}, not {name}")
         return self.addresses.index(name)

@@ -27,19 +27,15 @@ class Frame(Protocol):
     """What an expression is worked out in."""
 
     @property
-    def control(self) -> SinumerikControl:
-        """The control."""
-        ...
+    def control(self) -> SinumerikControl: ...
 
     @property
     def local(self) -> dict[str, Value]:
         """Variables of the running program."""
-        ...
 
     @property
     def given(self) -> list[bool]:
         """Which parameters the call has given."""
-        ...
 
 
 Expression: TypeAlias = Callable[[Frame], Value]
@@ -171,7 +167,6 @@ _FUNCTIONS: dict[str, Callable[[Value], Value]] = {
 
 
 def expression(tokens: Tokens) -> Expression:
-    """Compile an expression."""
     left = _level(tokens, 0)
     if tokens.peek() not in _COMPARISONS:
         return left
@@ -238,7 +233,6 @@ def variable(text: str, line: str) -> Expression:
 
 
 def index_of(tokens: Tokens) -> str:
-    """Take an index in brackets."""
     tokens.take("[")
     text = tokens.take()
     tokens.take("]")

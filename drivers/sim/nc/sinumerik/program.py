@@ -44,19 +44,15 @@ class Running(Frame, Protocol):
     @property
     def kinds(self) -> dict[str, str]:
         """Type of each variable of the program."""
-        ...
 
     def alarm(self, number: int, text: str) -> None:
         """End the program with an alarm."""
-        ...
 
     def call(self, name: str) -> None:
         """Run a program without arguments."""
-        ...
 
     def end(self) -> None:
         """Go back to the program that called."""
-        ...
 
 
 Action = Callable[[Running], int | None]
@@ -65,8 +61,6 @@ Action = Callable[[Running], int | None]
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """One block of a program."""
-
     line: int
     text: str
     action: Action
@@ -74,8 +68,6 @@ class Block:
 
 @dataclass(slots=True)
 class SinumerikProgram:
-    """One compiled program."""
-
     name: str
     parameters: tuple[str, ...] = ()
     blocks: list[Block] = field(default_factory=list)
