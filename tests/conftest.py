@@ -5,6 +5,7 @@ import os
 import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
@@ -152,3 +153,13 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
         return None
     config.option.loadscopereorder = False  # it puts files of few tests last, and these are the longest ones
     return InOrder(config, log)
+
+
+@pytest.fixture
+def in_chicago(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Let the computer stand where the clocks are not those of UTC."""
+    with monkeypatch.context() as place:
+        place.setenv("TZ", "America/Chicago")
+        time.tzset()
+        yield
+    time.tzset()

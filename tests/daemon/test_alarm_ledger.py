@@ -4,17 +4,19 @@ import json
 from dataclasses import asdict
 from itertools import pairwise
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
 from daemon.sinks.alarms.ledger import MOST_ENTRIES, Condition, Ledger, Limits
-from daemon.sinks.alarms.message import in_words
+from daemon.sinks.alarms.message import Message, in_words
 from daemon.sinks.alarms.output_track import SETTLED_S, OutputTrack
 
 LIMITS = Limits(interval_s=300.0, remind_s=86_400.0)
 FILE = TypeAdapter(Ledger)
 EVERY = ("fault", "daemon", "link", "sensor", "hold")
+pytestmark = pytest.mark.usefixtures("in_chicago")
 
 
 def condition(kind: str = "link", subject: str = "CNC", **changes: object) -> Condition:
@@ -28,13 +30,31 @@ def told(ledger: Ledger, now_s: float, limits: Limits = LIMITS) -> tuple[Ledger,
 
 def test_an_alarm_is_told_once_then_its_end() -> None:
     ledger, said = told(Ledger().seen([condition()], EVERY, 10.0), 10.0)
-    assert said == ["link CNC, since 1970-01-01T00:00:00+00:00: gone"]
+    assert said == ["link CNC, since 1969-12-31 18:00:00-06:00: gone"]
     for now_s in range(20, 5000, 10):
         ledger, said = told(ledger.seen([condition(text=f"gone at {now_s}")], EVERY, now_s), now_s)
         assert said == []
     ledger, said = told(ledger.seen([], EVERY, 6000.0), 6000.0)
-    assert said == ["link CNC ended, was 100 min: gone at 4990"]
+    assert said == ["over after 100 min: link CNC: gone at 4990"]
     assert ledger.alarms == () and told(ledger, 1e6)[1] == []
+
+
+def test_every_sentence_is_english_for_the_end_and_for_many_sensors_too() -> None:
+    begun = [condition("daemon", ""), condition("sensor", "", text="25 sensors do not count, such as 1, 2, 3, 4, 5")]
+    ledger, said = told(Ledger().seen(begun, EVERY, 10.0), 10.0)
+    since = "since 1969-12-31 18:00:00-06:00"
+    assert said == [
+        f"the daemon does not run, {since}: gone",
+        f"many sensors, {since}: 25 sensors do not count, such as 1, 2, 3, 4, 5",
+    ]
+    entries = ledger.seen([condition("link", "CNC")], EVERY, 900.0).due(LIMITS, 900.0)
+    assert [in_words(entry) for entry in entries] == [
+        "over after 15 min: the daemon does not run: gone",
+        f"link CNC, {since}: gone",
+        "over after 15 min: many sensors: 25 sensors do not count, such as 1, 2, 3, 4, 5",
+    ], "what is over does not stand before what begins, but for what is urgent"
+    subject = Message(machine="mill 7", time_utc_s=900.0, entries=entries[1:]).subject
+    assert subject == f"mill 7: first of 2: link CNC, {since}: gone"
 
 
 def test_what_nobody_could_judge_neither_begins_nor_ends() -> None:
@@ -66,7 +86,7 @@ def test_a_fault_does_not_wait_for_others_and_a_new_reason_is_told() -> None:
     assert told(ledger, 20.0)[1] == []
     ledger, said = told(ledger, 310.0)
     assert said == [
-        "FAULT again or for one more reason, since 1970-01-01T00:00:00+00:00: read-back differs; a write was refused"
+        "FAULT again or for one more reason, since 1969-12-31 18:00:00-06:00: read-back differs; a write was refused"
     ]
 
 
@@ -75,14 +95,14 @@ def test_what_was_over_before_it_could_be_told_is_told_once_with_its_times() -> 
     for start_s in (10.0, 60.0, 110.0):
         ledger = ledger.over(condition("hold", "", since_utc_s=start_s), start_s + 30.0)
     ledger, said = told(ledger, 400.0)
-    assert said == ["HOLD ended (3 times), was 2 min: gone"]
+    assert said == ["over after 2 min: HOLD (3 times): gone"]
 
 
 def test_what_lasts_is_told_again_after_a_day() -> None:
     ledger, _ = told(Ledger().seen([condition()], EVERY, 0.0), 0.0)
     assert told(ledger, 86_399.0)[1] == []
     ledger, said = told(ledger, 86_400.0)
-    assert said == ["link CNC still, since 1970-01-01T00:00:00+00:00: gone"]
+    assert said == ["link CNC still, since 1969-12-31 18:00:00-06:00: gone"]
     assert told(ledger, 86_500.0)[1] == []
 
 

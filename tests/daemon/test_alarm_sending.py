@@ -25,6 +25,7 @@ from daemon.sinks.running import make_messenger
 
 NOW_S = 1_770_000_000.0
 PASSWORD = "quite secret 7"
+pytestmark = pytest.mark.usefixtures("in_chicago")
 FAULT = Alarm(kind="fault", subject="", text="read-back differs: #501", since_utc_s=NOW_S - 720.0)
 MESSAGE = Message(machine="mill 7", time_utc_s=NOW_S, entries=(Entry(change="raised", alarm=FAULT),))
 
@@ -71,9 +72,9 @@ def test_a_mail_arrives_over_tls_with_an_account(pki: Path, encryption: str) -> 
         assert make_messenger(mail_sink(box.port, **secured)).send(MESSAGE) == ""
         (letter,) = box.letters
         assert box.envelopes == [("toolpoint@plant.example", ["maintenance@plant.example", "shift@plant.example"])]
-        assert letter["Subject"].strip() == "mill 7: FAULT, since 2026-02-02T02:28:00+00:00: read-back differs: #501"
+        assert letter["Subject"].strip() == "mill 7: FAULT, since 2026-02-01 20:28:00-06:00: read-back differs: #501"
         assert letter["Message-ID"] == f"<{MESSAGE.number}@plant.example>"
-        assert "- FAULT, since 2026-02-02T02:28:00+00:00" in letter.get_content()
+        assert "- FAULT, since 2026-02-01 20:28:00-06:00" in letter.get_content()
         (pki / "wrong").write_text("not this one")
         said = refusal(mail_sink(box.port, **secured | {"password_file": pki / "wrong"}))
         assert "refuses the account (535" in said and "check `user_name` and `password_file`" in said
@@ -140,7 +141,7 @@ def test_a_post_arrives_over_tls_with_its_token(pki: Path) -> None:
             "machine": "mill 7",
             "time_utc": "2026-02-02T02:40:00+00:00",
             "test": False,
-            "text": "mill 7: FAULT, since 2026-02-02T02:28:00+00:00: read-back differs: #501",
+            "text": "mill 7: FAULT, since 2026-02-01 20:28:00-06:00: read-back differs: #501",
             "alarms": [
                 {
                     "id": post["alarms"][0]["id"],
@@ -148,7 +149,7 @@ def test_a_post_arrives_over_tls_with_its_token(pki: Path) -> None:
                     "kind": "fault",
                     "subject": "",
                     "text": "read-back differs: #501",
-                    "sentence": "FAULT, since 2026-02-02T02:28:00+00:00: read-back differs: #501",
+                    "sentence": "FAULT, since 2026-02-01 20:28:00-06:00: read-back differs: #501",
                     "since_utc": "2026-02-02T02:28:00+00:00",
                     "ended_utc": None,
                     "duration_s": None,

@@ -12,6 +12,8 @@ from models.json_values import printable
 
 URGENT = ("fault", "daemon")
 """Kinds that do not wait for others."""
+LATER = {"ended": 1, "reminder": 2}
+"""What stands after that which is new."""
 MOST_ENTRIES = 50
 """A message holds at most so many; the others come in the next."""
 LONGEST_TEXT = 500
@@ -110,7 +112,7 @@ class Ledger:
         last_utc_s = self.urgent_utc_s if urgent else self.sent_utc_s
         if not entries or (last_utc_s is not None and 0.0 <= now_utc_s - last_utc_s < limits.interval_s):
             return ()
-        entries.sort(key=lambda entry: (entry.alarm.kind not in URGENT, entry.change == "reminder"))
+        entries.sort(key=lambda entry: (entry.alarm.kind not in URGENT, LATER.get(entry.change, 0)))
         return tuple(entries[:MOST_ENTRIES])
 
     def told(self, entries: Iterable[Entry], now_utc_s: float) -> "Ledger":

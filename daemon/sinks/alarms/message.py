@@ -25,6 +25,8 @@ NAMES = {
     "certificate": "certificate",
 }
 """Kind -> what people call it."""
+WITHOUT_SUBJECT = {"sensor": "many sensors"}
+"""The same of kinds that have a subject as a rule."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,12 +49,12 @@ class Message:
         if not self.entries:
             return _line(f"{self.machine}: test of the alarms")
         first, more = in_words(self.entries[0]), len(self.entries) - 1
-        return _line(f"{self.machine}: {first}" if not more else f"{self.machine}: {more + 1} alarms: {first}")
+        return _line(f"{self.machine}: {first}" if not more else f"{self.machine}: first of {more + 1}: {first}")
 
     @property
     def text(self) -> str:
         """Several lines for people."""
-        lines = [f"Machine: {_line(self.machine)}", f"Time: {_iso(self.time_utc_s)}", ""]
+        lines = [f"Machine: {_line(self.machine)}", f"Time: {_local(self.time_utc_s)}", ""]
         lines += [f"- {in_words(entry)}" for entry in self.entries]
         if not self.entries:
             lines.append("This is a test: alarms of this machine arrive here. Nothing is wrong.")
@@ -78,13 +80,13 @@ class Messenger(Protocol):
 
 def in_words(entry: Entry) -> str:
     alarm = entry.alarm
-    what = " ".join(filter(None, (NAMES[alarm.kind], alarm.subject)))
+    what = f"{NAMES[alarm.kind]} {alarm.subject}" if alarm.subject else WITHOUT_SUBJECT.get(alarm.kind, NAMES[alarm.kind])
     times = f" ({alarm.times} times)" if alarm.times > 1 else ""
     if entry.change == "ended":
         assert alarm.ended_utc_s is not None
-        return f"{what} ended{times}, was {duration(alarm.ended_utc_s - alarm.since_utc_s)}: {alarm.text}"
+        return f"over after {duration(alarm.ended_utc_s - alarm.since_utc_s)}: {what}{times}: {alarm.text}"
     still = {"reminder": " still", "changed": " again or for one more reason"}.get(entry.change, "")
-    return f"{what}{still}{times}, since {_iso(alarm.since_utc_s)}: {alarm.text}"
+    return f"{what}{still}{times}, since {_local(alarm.since_utc_s)}: {alarm.text}"
 
 
 def duration(seconds: float) -> str:
@@ -123,6 +125,11 @@ def _hash(content: Sequence[object]) -> str:
 
 def _iso(utc_s: float) -> str:
     return datetime.fromtimestamp(utc_s, UTC).isoformat(timespec="seconds")
+
+
+def _local(utc_s: float) -> str:
+    """Return a time as the clocks of the computer's place show it, with what it is ahead of UTC."""
+    return datetime.fromtimestamp(utc_s, UTC).astimezone().isoformat(sep=" ", timespec="seconds")
 
 
 def _line(text: str) -> str:

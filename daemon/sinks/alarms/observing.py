@@ -104,7 +104,7 @@ def _sensors(status: Mapping[str, Any], configuration: Configuration) -> Iterato
         wrong.setdefault(int(number), "the model leaves it out: it departs from what the other sensors say")
     count = max(len(wrong), temperatures.get("not_good_count", 0))
     if count > SHOWN_SENSORS:
-        yield "many", f"{count} sensors do not count, such as {', '.join(str(number) for number in sorted(wrong)[:5])}"
+        yield "", f"{count} sensors do not count, such as {', '.join(str(number) for number in sorted(wrong)[:5])}"
         return
     known = {sensor.id: sensor for sensor in configuration.temperatures.every_sensor}
     for number, reason in sorted(wrong.items()):
