@@ -136,6 +136,14 @@ def test_every_variable_has_values(reader: psycopg.Connection, variable: dict) -
     assert len(reader.execute(variable["query"]).fetchall()) >= 2
 
 
+def test_machines_without_displacement_sensors_have_channels_too(filled: Server) -> None:
+    (channel,) = (each for each in DASHBOARD["templating"]["list"] if each["name"] == "channel")
+    with filled.connection() as connection, connection.transaction(force_rollback=True):
+        connection.execute("DELETE FROM toolpoint.displacements")
+        found = connection.execute(channel["query"]).fetchall()
+    assert found == [("d3",), ("d2",), ("d1",)]
+
+
 def _scans(node: dict) -> Iterator[dict]:
     if "Relation Name" in node:
         yield node
