@@ -80,7 +80,8 @@ class Messenger(Protocol):
 
 def in_words(entry: Entry) -> str:
     alarm = entry.alarm
-    what = f"{NAMES[alarm.kind]} {alarm.subject}" if alarm.subject else WITHOUT_SUBJECT.get(alarm.kind, NAMES[alarm.kind])
+    alone = WITHOUT_SUBJECT.get(alarm.kind, NAMES[alarm.kind])
+    what = f"{NAMES[alarm.kind]} {alarm.subject}" if alarm.subject else alone
     times = f" ({alarm.times} times)" if alarm.times > 1 else ""
     if entry.change == "ended":
         assert alarm.ended_utc_s is not None
