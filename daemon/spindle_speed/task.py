@@ -18,23 +18,60 @@ from daemon.spindle_speed.calls import SpeedCalls, SpeedOperation
 from daemon.spindle_speed.decision import OperationState, SpeedDecision
 from daemon.spindle_speed.macro_block import DISABLED, MacroValues, SpeedBlock, SpeedPair
 from daemon.spindle_speed.memory import OperationMemories, SpeedSwitch
+from daemon.spindle_speed.messages import PlannedSpeed
 from daemon.spindle_speed.planner_process import SpeedWorker
-from daemon.spindle_speed.snapshot import speed_snapshot
 from daemon.spindle_speed.turning import TurningSpeed
 from daemon.spindle_speed.writer import SpeedWriteError, SpeedWriter
 from drivers.clock import Clock
 from drivers.contract import FatalDriverError
 from drivers.guard.speed_text import SpeedStatus
 from models.records import CncSample, Phase
-from models.spindle_speed.tuning import (
-    SpeedState,
-)
+from models.spindle_speed.tuning import SpeedState
 
 NO_LINK = "no link to the CNC"
 OUR_FAULT = "spindle speed"
 """A FAULT of the spindle speed begins so."""
 NO_OPERATION = "no operation has begun"
 ANEW = "decided anew at the next safe block"
+
+
+def speed_snapshot(
+    *,
+    state: str,
+    reason: str,
+    alarm: str,
+    switched_on: bool,
+    stands_off: bool,
+    applied_rpm: float | None,
+    nc_status: int | None,
+    operation: SpeedOperation | None,
+    planned: PlannedSpeed | None,
+    followed: SpeedPair | None,
+) -> SpindleSpeedSnapshot:
+    """Return operation, plan and command, None where there is none; `followed`: the pair that the NC may take."""
+    called = operation.called if operation is not None else None
+    plan = planned.plan if planned is not None and planned.called == called else None
+    return SpindleSpeedSnapshot(
+        state=state,
+        reason=reason,
+        alarm=alarm,
+        switched_on=switched_on,
+        stands_off=stands_off,
+        applied_rpm=applied_rpm,
+        nc_status=nc_status,
+        operation=str(operation.made_for) if operation is not None else None,
+        tool_number=called.tool_number if called is not None else None,
+        programmed_rpm=called.speed_rpm if called is not None else None,
+        commanded_rpm=followed.speed_rpm if followed is not None else None,
+        commanded_feed_mm_min=followed.feed_mm_min if followed is not None else None,
+        target_rpm=plan.choice.speed_rpm if plan is not None else None,
+        limiting_depth_mm=plan.choice.limiting_depth_mm if plan is not None else None,
+        margin_met=plan.choice.margin_met if plan is not None else None,
+        flagged_span_rpm=plan.flagged_span_rpm if plan is not None else None,
+        resonance_hz=planned.resonance_hz if planned is not None else {},
+        change_per_sensor_step_rpm=planned.change_per_step_rpm if planned is not None else {},
+        diagram=planned.diagram if planned is not None else None,
+    )
 
 
 class Follower:

@@ -30,7 +30,6 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "drivers/contract.py",
         "drivers/focas/cnc.py",
         "drivers/focas/library.py",
-        "drivers/focas/link.py",
         "drivers/focas/requests.py",
         "drivers/haas/cnc.py",
         "drivers/haas/link.py",

@@ -15,26 +15,20 @@ from typing import ClassVar
 from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import FocasConfig
 from drivers.clock import Clock
-from drivers.contract import (
-    MODES,
-    RUNS,
-    SIMULATED_CNC_IDENTITY,
-    DriverError,
-    FatalDriverError,
-    LinkError,
-)
+from drivers.contract import MODES, RUNS, SIMULATED_CNC_IDENTITY, DriverError, FatalDriverError, LinkError
 from drivers.focas.codec import (
     Answer,
     Ask,
     Direction,
     FocasFormatError,
     Frame,
+    FrameBuffer,
     Function,
     Kind,
     encode_asks,
+    encode_frame,
     parse_answers,
 )
-from drivers.focas.link import FocasLink
 from drivers.focas.requests import (
     ADDITIONAL_OFFSET,
     AGAIN,
@@ -48,7 +42,7 @@ from drivers.focas.requests import (
     refusal,
     write_asks,
 )
-from drivers.linked_cnc import LinkedCnc
+from drivers.linked_cnc import AnsweredLink, LinkedCnc
 from drivers.power_on import CLOCK, DATE, TIME, CalendarError, power_on_count, power_on_utc_s
 from models.records import CncMode, CncRun, CncSample
 
@@ -61,6 +55,32 @@ MOST_BLOCKS = 28
 CLOCK_ASK = Ask(Function.READ_MACRO, (CLOCK, CLOCK))
 SIMULATED_SYSTEM = "TP-SM-TOOL-PNT0"
 """What the simulated control says of itself."""
+
+
+class FocasLink(AnsweredLink[Frame]):
+    """The protocol numbers nothing, so order is all there is: whatever comes unasked, late or twice ends the link."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._buffer = FrameBuffer()
+
+    def data_received(self, data: bytes) -> None:
+        """Hand the answer to who waits for it."""
+        try:
+            for frame in self._buffer.feed(data):
+                if self._waiting is None or not self._waits:
+                    self.abort(f"{self._name} sent an answer that nothing was asked for")
+                    return
+                self._waiting.set_result(frame)
+        except FocasFormatError as error:
+            self.abort(f"{self._name} does not speak FOCAS2: {error}")
+            return
+        if self._buffer.unfinished and not self._waits:
+            self.abort(f"{self._name} sent bytes that nothing was asked for")
+
+    async def exchange(self, request: Frame) -> Frame:
+        """Send a request and return the frame that comes next; given up, it ends the link. Raises LinkError."""
+        return await self._answer_to(encode_frame(request))
 
 
 class RefusedRequestError(FocasFormatError):

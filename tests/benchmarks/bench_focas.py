@@ -30,9 +30,8 @@ from scripted_machine import GROUPS, ScriptedNc, cnc_config  # noqa: E402
 
 from drivers.clock import SystemClock  # noqa: E402
 from drivers.contract import Cnc, DriverError  # noqa: E402
-from drivers.focas.cnc import FocasCnc  # noqa: E402
+from drivers.focas.cnc import FocasCnc, FocasLink  # noqa: E402
 from drivers.focas.codec import Direction, FocasFormatError, Frame, FrameBuffer, Kind, encode_frame  # noqa: E402
-from drivers.focas.link import FocasLink  # noqa: E402
 from drivers.focas.requests import StateRequest, SystemInfo  # noqa: E402
 from drivers.sim.wires.focas_server import FocasResponder, SimulatedFocasServer  # noqa: E402
 

@@ -30,11 +30,10 @@ from config.schema.service import HistoryConfig
 from config.schema.sinks import PostgresqlConfig, SinkConfig
 from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.cursors import Cursor, cursor_path
-from daemon.sinks.computer import this_computer
 from daemon.sinks.contract import SinkError
 from daemon.sinks.database import Database, authorities, scripts
 from daemon.sinks.outbox import STREAMS
-from daemon.sinks.postgresql import PostgresqlSink
+from daemon.sinks.postgresql import PostgresqlSink, this_computer
 from daemon.sinks.postgresql_refusals import refusal
 from daemon.sinks.running import SinkRunner, make_sink
 

@@ -18,7 +18,7 @@ from drivers.focas.requests import StateRequest, SystemInfo
 from drivers.haas.requests import StateVariables
 from drivers.linuxcnc.cnc import LinuxcncCnc
 from drivers.mtconnect.device import DataItem, Device
-from drivers.sim.wires.cnc_face import cnc_server
+from drivers.sim.wires.runner import cnc_server
 
 
 def axis(**changes: Any) -> AxisPositionConfig:

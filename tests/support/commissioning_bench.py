@@ -26,7 +26,7 @@ from drivers.sim.machine.machine import CfrpMachine
 from drivers.sim.nc.program import Block, PartProgram, standing_program
 from drivers.sim.nc.safe_point import simulated_guard
 from drivers.sim.nc.wiring import STRAIGHT, Wiring
-from drivers.sim.wires.cnc_face import cnc_server
+from drivers.sim.wires.runner import cnc_server
 from drivers.sim.wires.tcp_relay import TcpRelay
 
 SPEED = 80.0

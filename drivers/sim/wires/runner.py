@@ -4,19 +4,24 @@ import asyncio
 import contextlib
 import gc
 import math
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
+from urllib.parse import urlparse
 
 from config.schema import Configuration
+from config.schema.cnc import CncConfig
+from config.schema.cnc_drivers import FocasConfig, HaasConfig, MtconnectConfig, OpcUaConfig
 from drivers.clock import ScaledClock
-from drivers.sim.contract import NC_STATE, SimulatedMachine
+from drivers.sim.contract import NC_STATE, SimulatedMachine, SimulatedNc
 from drivers.sim.faults import Fault, FaultKind, check_targets, of_kind
-from drivers.sim.wires.cnc_face import cnc_server, configured_port
 from drivers.sim.wires.displacement_wire import DisplacementCsv
+from drivers.sim.wires.focas_server import SimulatedFocasServer
+from drivers.sim.wires.haas_server import SimulatedHaasServer
 from drivers.sim.wires.latsis_wire import LatsisWires
-from drivers.sim.wires.opcua_server import ServerSecurity
+from drivers.sim.wires.mtconnect_agent import SimulatedMtconnectAgent
+from drivers.sim.wires.opcua_server import ServerSecurity, SimulatedCncServer
 from drivers.sim.wires.source_wires import SourceWires, temperatures_of
 from drivers.sim.wires.tcp_relay import TcpRelay
 from models.json_values import finite_or_none
@@ -29,6 +34,45 @@ BREATH_REAL_S = 0.05
 """After so much work in one go the network gets its turn, however far behind the machine is [s]."""
 
 Report = Callable[[dict[str, Any]], None]
+
+
+class CncServer(Protocol):
+    """A server on 127.0.0.1 that a driver connects to."""
+
+    @property
+    def port(self) -> int:
+        """The port that is listened on (known after start)."""
+
+    @property
+    def endpoint(self) -> str:
+        """Where clients find it (known after start)."""
+
+    async def start(self) -> None: ...
+
+    async def stop(self) -> None:
+        """Close all connections and stop listening. May be called more than once."""
+
+
+def configured_port(config: CncConfig) -> int:
+    """Return the TCP port at which the configuration expects the control."""
+    connection = config.connection
+    if isinstance(connection, OpcUaConfig):
+        return urlparse(connection.endpoint).port or 4840
+    assert isinstance(connection, FocasConfig | HaasConfig | MtconnectConfig)
+    return connection.port
+
+
+def cnc_server(
+    nc: SimulatedNc, config: CncConfig, *, port: int, security: ServerSecurity | None, readable: Iterable[int]
+) -> CncServer:
+    """Return the server of the configured driver, not started; `readable` are macros beside those of the map."""
+    if config.driver == "focas":
+        return SimulatedFocasServer(nc, config, port=port)
+    if config.driver == "haas":
+        return SimulatedHaasServer(nc, config, port=port)
+    if config.driver == "mtconnect":
+        return SimulatedMtconnectAgent(nc, config, port=port)
+    return SimulatedCncServer(nc, config, port=port, security=security, readable=readable)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
