@@ -445,8 +445,8 @@ def _unsure(
     """Return why the estimate may be wrong by more than is allowed since its reference, '' when it may not."""
     if outcome.speed_unread_um > UNSURE_UM:
         return (
-            "spindle speed was not read for a while since the reference, which may be worth more than "
-            f"{UNSURE_UM:g} um: position the work again"
+            "spindle speed was not read for a while, since the reference or shortly before it, which may be worth more "
+            f"than {UNSURE_UM:g} um: position the work again half an hour after it was"
         )
     level_um = 0.0
     if uncertainty_k.any():

@@ -79,6 +79,7 @@ class LinearEstimator:
             known_min=np.where(known, time_min, -np.inf),
             since_min=np.full(len(degc), time_min if self.history_min else -np.inf),
             unknown=self._past.at_first(degc, speed_rpm),
+            unread=np.zeros(len(self._past.constants_min)),
             interval_min=self._bridge_min / 1.5,
             speed_rpm=speed,
             speed_known_min=time_min if np.isfinite(speed_rpm) else -np.inf,
@@ -131,7 +132,7 @@ class LinearEstimator:
         if own.any():
             lagged = _bridged(self.model.layout, state, time_min, filled, own, lagged)
         returned &= ~own
-        unknown, rests = self._past.after(state, time_min, degc, speed_known)
+        unknown, unread, rests = self._past.after(state, time_min, degc, speed_known)
         if rests.any():
             count, now = len(lagged), speed_inputs(np.array([speed]), self.model.speed_scale_rpm)
             lagged = np.where(rests[:count, None] & known, filled, lagged)
@@ -143,6 +144,7 @@ class LinearEstimator:
             known_min=np.where(known, time_min, state.known_min),
             since_min=np.where(returned, time_min, state.since_min),
             unknown=unknown,
+            unread=unread,
             interval_min=elapsed_min,
             speed_rpm=speed,
             speed_known_min=time_min if speed_known else state.speed_known_min,

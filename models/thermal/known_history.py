@@ -28,6 +28,8 @@ class ModelState:
     """Since when each sensor has been known without a longer gap [min], shape (n_sensors,)."""
     unknown: FloatArray
     """Share of each lag, those of speed last, that nobody recorded, when temperature or speed was last known, 0..1."""
+    unread: FloatArray
+    """Share of each lag of speed that was not read in a gap, 0..1; of a machine at rest, and where it begins, none."""
     interval_min: float
     """How long the sample before it was ago [min]."""
     speed_rpm: float
@@ -66,10 +68,10 @@ class KnownHistory:
 
     def after(
         self, state: ModelState, time_min: float, degc: FloatArray, speed_known: bool
-    ) -> tuple[FloatArray, BoolArray]:
-        """Return the share of each lag that is unknown after a sample, and which lags begin anew for it.
+    ) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Return the shares of each lag that are unknown and unread after a sample, and which lags begin anew for it.
 
-        Result, of shape (n_lags,) both: after a silence of all sensors the lags of a machine that stands at rest tell
+        Result, of shape (n_lags,) each: after a silence of all sensors the lags of a machine that stands at rest tell
         more when they begin anew than when they go on through the gap.
 
         `state`: before it. `time_min`, `degc`: of the sample. `speed_known`: whether it holds spindle speed.
@@ -78,7 +80,8 @@ class KnownHistory:
         unknown = np.where(renewed, self._unknown(state, time_min), state.unknown)
         share = self._at_rest(state, time_min, degc)
         rests = (share < unknown) & (~self.of_speed | speed_known) if share < 1.0 else np.zeros_like(self.of_speed)
-        return np.where(rests, share, unknown), rests
+        unread = self._unread(state, time_min) if speed_known else state.unread
+        return np.where(rests, share, unknown), np.where(rests, 0.0, unread), rests
 
     def _at_rest(self, state: ModelState, time_min: float, degc: FloatArray) -> float:
         """Return what is unknown of lags that begin anew after a silence of all sensors; 1 where that is no choice."""
@@ -97,8 +100,8 @@ class KnownHistory:
         """Return how far the estimate since a reference may be followed, 0..1, and what it may be off by more.
 
         Result: also what widens its band, as the variance over the square of the band inside the domain, shape
-        (n_channels,); by how much it may be off because spindle speed was not read since the reference, of the worst
-        channel [um].
+        (n_channels,); by how much it may be off because spindle speed was not read, since the reference or shortly
+        before it, of the worst channel [um].
         """
         then = self._unknown(reference, reference.time_min)
         left = then * np.exp(-max(state.time_min - reference.time_min, 0.0) / self.constants_min)
@@ -111,6 +114,7 @@ class KnownHistory:
         unsure_um2 = NORMAL_95**2 * (self._start.variance_um2(then - left) + self._start.variance_um2(later))
         wider = np.divide(unsure_um2, np.square(self._band_um), out=none, where=self._band_um > 0.0)
         of_speed_um2 = self._start.variance_um2(np.where(self.of_speed, later, 0.0))
+        of_speed_um2 += self._start.variance_um2(self._unread(reference, reference.time_min))
         return known, wider, NORMAL_95 * float(np.sqrt(of_speed_um2.max(initial=0.0)))
 
     def _speed_is_gone(self, state: ModelState) -> bool:
@@ -137,9 +141,13 @@ class KnownHistory:
         """Return the share of each lag that is unknown at a time, shape (n_lags,)."""
         since_min = time_min - self._latest(state.known_min)
         of_degc = grown_unknown(state.unknown, since_min, self.constants_min, self._bridge_min)
-        if not self.of_speed.any():
-            return of_degc
+        return np.where(self.of_speed, self._grown_by_speed(state.unknown, state, time_min), of_degc)
+
+    def _unread(self, state: ModelState, time_min: float) -> FloatArray:
+        """Return the share of each lag of speed that was not read in a gap, at a time, shape (n_lags,)."""
+        return np.where(self.of_speed, self._grown_by_speed(state.unread, state, time_min), 0.0)
+
+    def _grown_by_speed(self, share: FloatArray, state: ModelState, time_min: float) -> FloatArray:
         since_min = time_min - state.speed_known_min
         bridge_min = max(self._speed_bridge_min, 1.5 * state.interval_min)
-        of_speed = grown_unknown(state.unknown, since_min, self.constants_min, bridge_min)
-        return np.where(self.of_speed, of_speed, of_degc)
+        return grown_unknown(share, since_min, self.constants_min, bridge_min)

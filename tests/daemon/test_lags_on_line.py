@@ -422,6 +422,13 @@ async def test_a_spindle_that_began_to_turn_while_its_speed_was_not_read_holds_t
     await shop.run(3)
     assert ("spindle speed was not read" in shop.latest.inhibit) is held
     assert (shop.latest.confidence == 0.0) is held
+    await shop.refer()
+    await shop.run(10)
+    assert ("shortly before" in shop.latest.inhibit) is held, "what was positioned meanwhile counts the same lags"
+    await shop.run(110)
+    await shop.refer()
+    await shop.run(10)
+    assert shop.latest.inhibit == "" and shop.latest.confidence > 0.9, "it has faded"
     await shop.end()
 
 
