@@ -47,7 +47,7 @@ class Estimation:
     imputed_um: float = 0.0
     """By how much what is imputed, now or when a sensor was set anew, may be off, of the worst channel [um]."""
     speed_unread_um: float = 0.0
-    """By how much it may be off because of spindle speed that was not read, since the reference or shortly before, of the
+    """By how much it may be off because spindle speed was not read, since the reference or shortly before it, of the
     worst channel [um]."""
     found_wrong_um: float = 0.0
     """What sensors that were found wrong since the latest estimate were worth until then, of the worst channel [um]."""
