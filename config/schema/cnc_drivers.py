@@ -41,6 +41,11 @@ class CncConnection(Section):
         return False
 
     @property
+    def reads_speed(self) -> bool:
+        """Whether spindle speed is asked for."""
+        return True
+
+    @property
     def address(self) -> str:
         """Where the CNC is, equal for every configuration that means the same one."""
         return self.model_dump_json()
@@ -185,6 +190,12 @@ class OpcUaConfig(CncConnection):
     def encrypted(self) -> bool:
         """Whether the session is signed, encrypted and has a user."""
         return self.security is not None
+
+    @property
+    def reads_speed(self) -> bool:
+        """Whether an identifier of the spindle speed is given, or the preset has one."""
+        given = None if self.nodes is None else self.nodes.spindle_speed
+        return self.preset != "generic" if given is None else given != NO_NODE
 
     @property
     def address(self) -> str:

@@ -187,11 +187,12 @@ class ModelInUse:
         if known >= least:
             return ""
         needed_h = self._online.history_min / 60.0
+        inputs = "temperatures and spindle speed" if self.model.needs_speed else "temperatures"
         remedy = "wait, and leave the daemon running, then position the work again"
-        if not self._speed_known and "speed" in self._online.inputs:
+        if not self._speed_known and self.model.needs_speed:
             remedy = "the control gives no spindle speed: see `toolpoint cnc probe`, or train without it in the map"
         return (
-            f"the states of model {self.model.model_id} stand for the last {needed_h:.1f} h of {self._online.inputs}, "
+            f"the states of model {self.model.model_id} stand for the last {needed_h:.1f} h of {inputs}, "
             f"of which too little is known (confidence {known:.2f}, {least:g} is needed); {remedy}"
         )
 

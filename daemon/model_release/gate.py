@@ -33,8 +33,13 @@ def machine_inhibit(model: ThermalModel, configuration: Configuration, said: str
     )
 
 
-def slope_inhibit(model: ThermalModel, configuration: Configuration) -> str:
-    """Return why a model's slopes do not fit the axes that take them, '' when they do."""
+def unfit(model: ThermalModel, configuration: Configuration) -> str:
+    """Return why a model does not fit what the control gives and the axes that take it, '' when it does."""
+    if model.needs_speed and not configuration.cnc.connection.reads_speed:
+        return (
+            "it estimates from spindle speed, which is not read from this control: name its variable under "
+            "cnc.opcua.nodes.spindle_speed (see `toolpoint cnc probe`), or take speed out of the map and train it again"
+        )
     for name, axis in configuration.compensation.axes.items():
         if axis.estimate is None or axis.estimate not in model.channels:
             continue

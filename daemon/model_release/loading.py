@@ -12,7 +12,7 @@ from config.schema import Configuration
 from config.signing import SigningError
 from daemon.model_release.active import release_signer, released
 from daemon.model_release.file_access import Account, how_it_could_change
-from daemon.model_release.gate import machine_inhibit, slope_inhibit, training_inhibit
+from daemon.model_release.gate import machine_inhibit, training_inhibit, unfit
 from daemon.snapshots import ModelSnapshot
 from models.model_file import ModelError
 from models.thermal.family import ThermalModel, model_from_json
@@ -82,7 +82,7 @@ def load_released(configuration: Configuration, account: Account) -> LoadedModel
         model, inhibit = model_from_text(
             content, source, configuration.temperatures.sensor_ids, wanted, configuration.cnc.axis_positions
         )
-        if model is not None and (inhibit := slope_inhibit(model, configuration)):
+        if model is not None and (inhibit := unfit(model, configuration)):
             return None, f"{source}: {inhibit}", ""
         return model, inhibit, "" if model is None else training_inhibit(model)
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from config.schema import Configuration
-from daemon.model_release.gate import channels_in_use, slope_inhibit, training_inhibit
+from daemon.model_release.gate import channels_in_use, training_inhibit, unfit
 from models.thermal.family import ThermalModel
 from models.thermal.model import CHANNEL_SCORES
 
@@ -21,8 +21,8 @@ def gate_inhibit(model: ThermalModel, configuration: Configuration) -> str:
 def _inhibits(model: ThermalModel, configuration: Configuration) -> Iterator[str]:
     if refused := training_inhibit(model):
         yield refused
-    if unfit := slope_inhibit(model, configuration):
-        yield unfit
+    if inhibit := unfit(model, configuration):
+        yield inhibit
     scores = model.hyper_parameters.get(CHANNEL_SCORES)
     shares = dict(zip(model.channels, scores, strict=False)) if isinstance(scores, list) else {}
     for channel, widest_um in channels_in_use(configuration).items():

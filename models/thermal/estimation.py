@@ -82,10 +82,6 @@ class OnlineModel(Protocol):
         """So much of the past the states, or a watch of the sensors alone, remember [min]; at least `history_min`."""
 
     @property
-    def inputs(self) -> str:
-        """What the history must hold, in words."""
-
-    @property
     def filled(self) -> float:
         """How far the states are known, 0..1: what a reference now would be worth."""
 

@@ -42,6 +42,10 @@ class ThermalModel(Protocol):
         """The last of `sensor_names`, when they are axis positions [mm], which the control must give."""
 
     @property
+    def needs_speed(self) -> bool:
+        """Whether it estimates from spindle speed, which the control must give."""
+
+    @property
     def pivots_mm(self) -> Mapping[str, float]:
         """Channels that are slopes along an axis [um/m], and where each adds nothing [mm]."""
 

@@ -72,11 +72,6 @@ class LinearOnline:
         return self._estimator.memory_min
 
     @property
-    def inputs(self) -> str:
-        """What the history must hold, in words."""
-        return "temperatures and spindle speed" if self.model.layout.speed_lags_min else "temperatures"
-
-    @property
     def filled(self) -> float:
         """How far the states are known, 0..1: what a reference now would be worth."""
         if self.history_min <= 0.0:

@@ -126,6 +126,11 @@ class LinearParameters:
         _check_arrays(self)
         _check_test_vectors(self)
 
+    @property
+    def needs_speed(self) -> bool:
+        """Whether it estimates from spindle speed, which the control must give."""
+        return bool(self.layout.speed_lags_min)
+
     def coefficients(self, without: tuple[int, ...] = (), beside: IntArray | None = None) -> FloatArray:
         """Return [um per unit of the feature], fitted without some sensors (indices), shape (d, n_channels)."""
         return np.asarray(np.mean([one.coefficients(without, beside) for one in self.solutions], axis=0))

@@ -18,7 +18,7 @@ from config.records.commissioning_file import commissioning_text
 from daemon.cli import main
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.model_release.gate import slope_inhibit
+from daemon.model_release.gate import unfit
 from daemon.model_release.loading import read_model
 from drivers.clock import SystemClock
 from drivers.files.recording_csv import read_recording
@@ -88,7 +88,7 @@ def test_an_exported_history_of_an_axis_that_expands_is_trained_with_its_slope(t
     model, why = read_model(model_file, SENSOR_IDS, ["Z1", "Z1_per_m"])
     assert model is not None, why
     configuration = configured(yaml.safe_load(config.read_text(encoding="utf-8")))
-    assert model.pivots_mm == {"Z1_per_m": PIVOT_MM} and slope_inhibit(model, configuration) == ""
+    assert model.pivots_mm == {"Z1_per_m": PIVOT_MM} and unfit(model, configuration) == ""
     recording = read_recording(run, found)
     assert recording.displacement_names == ("Z1", "Z1_per_m")
     along_m = (np.array([20.0, 135.0, 250.0, 365.0, 480.0]) - PIVOT_MM) * 1e-3

@@ -9,10 +9,13 @@ import structlog
 from control_rig import SENSOR_IDS, Bench, HandClock, machine, running
 from thermal_rig import model as increments
 
+from config.schema.cnc_drivers import NO_NODE, OpcUaNodesConfig
 from daemon.estimation.task import ThermalTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.messages import ReferenceRequest, ReferenceTakenUp, SensorsSinceReference, SpindleSpeed
+from daemon.model_release.gate import unfit
+from daemon.model_release.release_checks import gate_inhibit
 from daemon.simulation.replaying import not_enabled
 from daemon.telemetry.metrics import Telemetry
 from models.control.state import OperatorRequest
@@ -89,6 +92,25 @@ def trained(table, family="lags"):
     )
     made = train_family([recording], family, sample_s=60.0, created="2026-01-01T00:00:00+00:00").model
     return replace(made, sensor_ids=SENSOR_IDS)
+
+
+def with_nodes(configuration, **opcua):
+    section = configuration.cnc.opcua.model_copy(update=opcua)
+    return configuration.model_copy(update={"cnc": configuration.cnc.model_copy(update={"opcua": section})})
+
+
+def test_a_model_with_speed_is_not_released_where_no_speed_is_read(tmp_path, model, model_with_speed):
+    reads = machine(tmp_path)
+    for mute in (
+        with_nodes(reads, preset="generic"),
+        with_nodes(reads, nodes=OpcUaNodesConfig(spindle_speed=NO_NODE)),
+    ):
+        why = unfit(model_with_speed, mute)
+        assert "spindle speed, which is not read from this control" in why and "nodes.spindle_speed" in why
+        assert gate_inhibit(replace(model_with_speed, refused=None), mute) == why
+        assert unfit(model, mute) == ""
+    for speaks in (reads, with_nodes(reads, preset="generic", nodes=OpcUaNodesConfig(spindle_speed="s=Speed"))):
+        assert unfit(model_with_speed, speaks) == ""
 
 
 class Shop:

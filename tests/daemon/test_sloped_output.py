@@ -16,7 +16,7 @@ from small_model import model
 from daemon.cnc.limits import output_limits
 from daemon.commissioning.initialising import CommissioningRefusedError
 from daemon.commissioning.slope import positions_of, slope_to_write
-from daemon.model_release.gate import slope_inhibit
+from daemon.model_release.gate import unfit
 from daemon.model_release.release_checks import gate_inhibit
 from models.control.state import OperatorRequest
 
@@ -92,13 +92,13 @@ def test_a_model_s_slope_goes_to_a_slope_about_the_same_pivot_only(tmp_path: Pat
     configuration = sloped(tmp_path)
     plain = replace(model(), channels=("Z1", "Z1_per_m"))
     fits = replace(plain, pivots_mm={"Z1_per_m": PIVOT_MM})
-    assert slope_inhibit(fits, configuration) == ""
+    assert unfit(fits, configuration) == ""
     for each, words in (
         (plain, "channel Z1_per_m is no slope along an axis"),
         (replace(plain, pivots_mm={"Z1": PIVOT_MM, "Z1_per_m": PIVOT_MM}), "channel Z1 is a slope along an axis"),
         (replace(plain, pivots_mm={"Z1_per_m": 0.0}), "is a slope about 0 mm, and z_slope about 250 mm"),
     ):
-        assert words in slope_inhibit(each, configuration)
+        assert words in unfit(each, configuration)
         assert words in gate_inhibit(each, configuration)
 
 

@@ -15,7 +15,7 @@ from config.machines import shipped_file
 from config.records.commissioning import load_commissioning
 from daemon.cli import main
 from daemon.cli.simulate.own_machine import beyond_waiting
-from daemon.model_release.gate import machine_inhibit, slope_inhibit
+from daemon.model_release.gate import machine_inhibit, unfit
 from daemon.model_release.loading import read_model
 from daemon.simulation import own_machine
 from daemon.simulation.own_machine import placed
@@ -141,7 +141,7 @@ def test_a_slope_gets_its_record_and_a_model_of_simulated_days_that_tells_it(
     model, why = read_model(
         configuration.compensation.model_file or Path(), configuration.temperatures.sensor_ids, ["Z1", "Z1_per_m"]
     )
-    assert model is not None and slope_inhibit(model, configuration) == "", why
+    assert model is not None and unfit(model, configuration) == "", why
     assert machine_inhibit(model, configuration) == ""
     assert "trained on machine 'simulated sloped'" in machine_inhibit(model, load_configuration(path))
     machine = simulated_day(configuration, SystemClock(), None).machine  # type: ignore[arg-type]
