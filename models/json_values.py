@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
@@ -14,6 +14,10 @@ def finite_or_none(value: float | None, decimals: int | None = None) -> float | 
     return float(value) if decimals is None else round(float(value), decimals)
 
 
+@overload
+def plain(value: Mapping[str, Any]) -> dict[str, Any]: ...
+@overload
+def plain(value: Any) -> Any: ...
 def plain(value: Any) -> Any:
     """Return nested mappings, sequences, arrays and numbers as JSON can carry them; NaN and infinity as None."""
     if isinstance(value, Mapping):

@@ -34,9 +34,7 @@ def described(configuration: Configuration) -> dict[str, Any]:
         "candidates": [_candidate(each, numbers, configuration) for each in reversed(proposals(configuration))],
         "hidden": why_proposals_are_hidden(configuration),
     }
-    cleaned = plain(document)
-    assert isinstance(cleaned, dict)
-    return cleaned
+    return plain(document)
 
 
 def _in_force(configuration: Configuration) -> dict[str, Any]:

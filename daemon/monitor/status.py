@@ -65,9 +65,7 @@ class StatusBoard:
             "history": {"acknowledged": dict(board.history.acknowledged), "problem": board.history.problem},
             "jobs": [asdict(job) for job in board.jobs],
         }
-        cleaned = plain(picture)
-        assert isinstance(cleaned, dict)
-        return cleaned
+        return plain(picture)
 
     def _output(self, control: ControlSnapshot, now_s: float) -> dict[str, Any]:
         since_s = control.since_monotonic_s

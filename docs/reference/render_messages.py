@@ -32,7 +32,6 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "drivers/focas/library.py",
         "drivers/focas/requests.py",
         "drivers/haas/cnc.py",
-        "drivers/haas/link.py",
         "drivers/haas/requests.py",
         "drivers/linuxcnc/cnc.py",
         "drivers/bridge_link.py",

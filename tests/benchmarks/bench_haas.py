@@ -21,9 +21,8 @@ from scripted_machine import ScriptedNc, cnc_config  # noqa: E402
 
 from drivers.clock import SystemClock  # noqa: E402
 from drivers.contract import DriverError  # noqa: E402
-from drivers.haas.cnc import HaasCnc  # noqa: E402
+from drivers.haas.cnc import HaasCnc, HaasLink  # noqa: E402
 from drivers.haas.codec import HaasFormatError, LineBuffer  # noqa: E402
-from drivers.haas.link import HaasLink  # noqa: E402
 from drivers.sim.wires.haas_server import HaasResponder, SimulatedHaasServer  # noqa: E402
 
 NUMBERS = (500, 501, 502, 503, 505)

@@ -11,7 +11,7 @@ from pydantic import TypeAdapter
 
 from daemon.sinks.alarms.ledger import MOST_ENTRIES, Condition, Ledger, Limits
 from daemon.sinks.alarms.message import Message, in_words
-from daemon.sinks.alarms.output_track import SETTLED_S, OutputTrack
+from daemon.sinks.alarms.sink import SETTLED_S, OutputTrack
 
 LIMITS = Limits(interval_s=300.0, remind_s=86_400.0)
 FILE = TypeAdapter(Ledger)

@@ -7,12 +7,8 @@ from sklearn.linear_model import LinearRegression
 from models.recordings.dataset import Recording
 from models.recordings.jumps import remove_jumps_at_switching
 from models.records import FloatArray
-from models.thermal.training.campaign_study import (
-    random_sensor_order,
-    residual_maps,
-)
+from models.thermal.training.campaign_study import nested_fits, random_sensor_order, residual_maps
 from models.thermal.training.increments import combine
-from models.thermal.training.nested import nested_fits
 from models.thermal.training.published import MODELS, PublishedSet, prepare
 
 SENSORS = 9

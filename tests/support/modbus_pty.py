@@ -5,8 +5,8 @@ import contextlib
 import os
 from pathlib import Path
 
+from drivers.sim.wires.latsis_wire import PtyPort
 from drivers.sim.wires.modbus_box import LONGEST_FRAME, RTU_REQUEST_BYTES, Contents, Way, at_once, rtu_answer
-from drivers.sim.wires.pty_port import PtyPort
 
 
 class ModbusPtyBox:

@@ -24,7 +24,7 @@ def dynamics_document(board: SnapshotBoard, clock: Clock) -> dict[str, Any] | No
         return None
     diagram = speed.diagram
     actual_rpm = cnc.sample.spindle_speed_rpm if cnc is not None else None
-    document: dict[str, Any] = {
+    document: dict[str, object] = {
         "operation": speed.operation,
         "state": speed.state,
         "why": speed.alarm or speed.reason,
@@ -46,9 +46,7 @@ def dynamics_document(board: SnapshotBoard, clock: Clock) -> dict[str, Any] | No
             "t": [shift_s + each for each in diagram.resonance_time_s],
             "hz": diagram.resonance_hz,
         }
-    cleaned = plain(document)
-    assert isinstance(cleaned, dict)
-    return cleaned
+    return plain(document)
 
 
 def documents_of(request: Request) -> Documents:

@@ -76,9 +76,7 @@ class Documents:
             "writes": asdict(control.writes),
             "latency": self.latency_summary(),
         }
-        cleaned = plain(document)
-        assert isinstance(cleaned, dict)
-        return cleaned
+        return plain(document)
 
     def age_s(self) -> float | None:
         """Return the age of the newest temperatures [s]; None before the first."""
@@ -230,9 +228,7 @@ class Documents:
             "published_note": PUBLISHED_NOTE,
             "histograms": {name: histogram(each) for name, each in series.items()},
         }
-        cleaned = plain(document)
-        assert isinstance(cleaned, dict)
-        return cleaned
+        return plain(document)
 
 
 def _reference(control: ControlSnapshot, now_s: float) -> dict[str, Any] | None:

@@ -63,7 +63,7 @@ def estimate_document(
             **({"unit": "um/m"} if channel in configuration.compensation.slope_channels else {}),
             "contributions": _contributions(configuration, board.thermal.contributions, channel),
         }
-    document = plain(
+    return plain(
         {
             "time": (estimate.trace.estimated or estimate.trace.last_byte).utc_s,
             "model_id": estimate.model_id,
@@ -75,8 +75,6 @@ def estimate_document(
             "why": estimate.inhibit,
         }
     )
-    assert isinstance(document, dict)
-    return document
 
 
 def _there(
