@@ -1,9 +1,30 @@
-"""Writes files whole or not at all, and computes the digest of their content."""
+"""Reads and writes whole files, and computes the digest of their content."""
 
+import errno
 import hashlib
 import os
+import stat
 from pathlib import Path
 from typing import IO
+
+LARGEST_FILE = 64 * 2**20
+"""No model, record, key or certificate is larger [byte]."""
+
+
+def read_whole(path: Path, most: int = LARGEST_FILE) -> bytes:
+    """Return what a file holds; raises OSError, also for a larger one, and for a pipe or a device without an end."""
+    with open(path, "rb", opener=without_waiting) as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError(errno.EINVAL, "it is a pipe or a device, no file", str(path))
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise OSError(errno.EFBIG, f"it is longer than {most} byte, more than any such file", str(path))
+    return content
+
+
+def without_waiting(path: str, flags: int) -> int:
+    """Open a file for `open`; a pipe that nobody writes to is opened at once too, as an empty one."""
+    return os.open(path, flags | os.O_NONBLOCK)
 
 
 def write_whole(path: Path, content: str | bytes, mode: int | None = None) -> None:

@@ -20,6 +20,7 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_public_key,
 )
 
+from config.files import read_whole
 from models.errors import RefusedInputError
 
 Purpose = Literal["release record", "commissioning record", "back-up"]
@@ -31,7 +32,6 @@ LIMITS: Mapping[str, Purpose] = {
 """What the name of a key's file limits it to: what it is for."""
 PUBLIC_SUFFIX = ".pub"
 SIGNATURE_SUFFIX = ".sig"
-LARGEST_KEY = 64 * 2**10
 
 
 class SigningError(RefusedInputError):
@@ -46,8 +46,7 @@ def signature_beside(path: Path) -> Path:
 def signature_of(path: Path) -> bytes | None:
     """Return the signature beside a file, None where there is none; raises OSError."""
     try:
-        with signature_beside(path).open("rb") as file:
-            return file.read(LARGEST_KEY)
+        return read_whole(signature_beside(path))
     except FileNotFoundError:
         return None
 
@@ -80,7 +79,7 @@ class TrustedKeys:
         except OSError as error:
             raise SigningError(f"{folder}: the keys that count cannot be read ({error.strerror})") from error
         try:  # one that is named and not there, such as a link to a stick that is pulled, is no lesser key
-            found = [trusted_key(path, path.read_bytes()) for path in paths]
+            found = [trusted_key(path, read_whole(path)) for path in paths]
         except OSError as error:
             raise SigningError(f"{error.filename}: this key that counts cannot be read ({error.strerror})") from error
         return cls(folder, {key_number(trusted.key): trusted for trusted in found})

@@ -15,8 +15,8 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_private_key,
 )
 
-from config.files import write_whole
-from config.signing import LARGEST_KEY, Purpose, SigningError, TrustedKeys, _signed, key_number
+from config.files import read_whole, write_whole
+from config.signing import Purpose, SigningError, TrustedKeys, _signed, key_number
 
 KEY_VARIABLE = "TOOLPOINT_SIGNING_KEY"
 """Environment variable that names the file of the private key."""
@@ -51,9 +51,7 @@ class SigningKey:
         The group may: systemd gives a service its credentials by an access list, which shows as the group's.
         """
         try:
-            with path.open("rb") as file:
-                mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
-                content = file.read(LARGEST_KEY)
+            content, mode = read_whole(path), stat.S_IMODE(path.stat().st_mode)
         except OSError as error:
             raise SigningError(
                 f"{path}: this account has no key to sign with ({error.strerror}); `toolpoint keys make` makes one"

@@ -10,6 +10,7 @@ from typing import Any
 
 import aiomqtt
 
+from config.files import read_whole
 from config.schema.source_drivers import SourceEntry
 from config.schema.source_sections import MqttBroker, MqttTopic
 from config.secret_files import SecretError, read_secret
@@ -104,6 +105,8 @@ class MqttSource(PushedSource):
             return None
         path = self._config.ca_certificate
         try:
+            if path is not None:
+                read_whole(path)  # of a pipe OpenSSL would wait for an end
             return ssl.create_default_context(cafile=None if path is None else str(path))
         except (OSError, ssl.SSLError) as error:
             raise FatalDriverError(f"{self._where}: ca_certificate {path} cannot be used: {error}") from error

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from config.files import read_whole
 from config.loader import key_text
 from config.machine.spindle import (
     Body,
@@ -270,7 +271,7 @@ def _spring(told: Springs) -> SpringDamper:
 def _located(file: Path, problems: list[tuple[KeyPath, str]]) -> list[Problem]:
     """Return problems found while building with the lines that they stand in."""
     try:
-        document = read_yaml(file.read_text("utf-8"))
+        document = read_yaml(read_whole(file).decode())
     except OSError:
         document = YamlDocument()
     located = []

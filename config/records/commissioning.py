@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import Field, ValidationError, model_validator
 
+from config.files import read_whole
 from config.schema.base import Section, first_fault
 from config.schema.cnc import CHECK_MISSING, MacroMapConfig
 from config.schema.compensation import SlopeConfig
@@ -115,7 +116,7 @@ def load_commissioning(path: Path, trusted: Path | None = None) -> Commissioning
     `trusted` is the folder of the keys by which it must be signed, where there are any.
     """
     try:
-        content = path.read_bytes()
+        content = read_whole(path)
         if trusted is not None:
             TrustedKeys.read(trusted).signer("commissioning record", content, signature_of(path), str(path))
         return CommissioningRecord.model_validate_json(content.decode("utf-8"))

@@ -5,6 +5,7 @@ from typing import Literal
 
 from pydantic import Field, ValidationError
 
+from config.files import read_whole
 from config.schema.base import Section, first_fault
 
 
@@ -45,7 +46,7 @@ def load_release_record(path: Path) -> ReleaseRecord:
 def read_release_record(path: Path) -> tuple[ReleaseRecord, bytes]:
     """Read a record, and the bytes that its signature is of; raises ReleaseRecordError naming file and key."""
     try:
-        content = path.read_bytes()
+        content = read_whole(path)
         return ReleaseRecord.model_validate_json(content.decode("utf-8")), content
     except OSError as error:
         raise ReleaseRecordError(f"{path}: the release record cannot be read ({error.strerror})") from error

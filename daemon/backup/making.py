@@ -13,7 +13,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import BinaryIO
 
-from config.files import sha256_of_stream
+from config.files import read_whole, sha256_of_stream
 from config.schema import Configuration
 from config.schema.source_drivers import SourceEntry
 from config.signing import SIGNATURE_SUFFIX, SigningError, TrustedKeys, signature_beside
@@ -119,7 +119,7 @@ class Source:
 def _sources(configuration: Configuration, config_path: Path, store: Path) -> Iterator[Source]:
     yield Source(name=STORE_NAME, came_from=configuration.history.path, copy=store)
     for name, path in _files_beside(configuration, config_path):
-        yield Source(name=name, came_from=path, content=path.read_bytes())
+        yield Source(name=name, came_from=path, content=read_whole(path))
 
 
 def _files_beside(configuration: Configuration, config_path: Path) -> Iterator[tuple[str, Path]]:

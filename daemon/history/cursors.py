@@ -13,6 +13,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Self
 
+from config.files import read_whole
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Position:
@@ -50,7 +52,7 @@ class Cursor:
     def read(cls, path: Path) -> Self | None:
         """Return what a file says; None when there is none that can be read."""
         try:
-            content = json.loads(path.read_bytes())
+            content = json.loads(read_whole(path))
             positions = {str(name): Position(**each) for name, each in content.pop("positions").items()}
             return cls(**content, positions=positions)
         except (OSError, ValueError, TypeError, KeyError, AttributeError):

@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from config.files import sha256_of
+from config.files import read_whole, sha256_of
 from config.records.release_record import (
     ReleaseRecord,
     ReleaseRecordError,
@@ -24,7 +24,7 @@ def released(model_file: Path) -> tuple[ReleaseRecord | None, str]:
         return None, ""
     try:
         record = load_release_record(beside)
-        digest = sha256_of(real.read_bytes())
+        digest = sha256_of(read_whole(real))
     except ReleaseRecordError as error:
         return None, str(error)
     except OSError as error:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 
+from config.files import read_whole
 from config.machine.spindle_chain import found_file
 from config.schema import Configuration
 from config.schema.base import ConfigurationError
@@ -115,4 +116,4 @@ def open_planning(configuration: Configuration, account: Account) -> OpenedPlann
 def _files(tuning: SpindleSpeedConfig) -> dict[Path, str]:
     """Return cases and spindles with the sha256 of each; raises ConfigurationError."""
     told = [path for each in tuning.operations for path in (each.case, *each.spindles.values())]
-    return {path: sha256(path.read_bytes()).hexdigest() for path in map(found_file, told)}
+    return {path: sha256(read_whole(path)).hexdigest() for path in map(found_file, told)}

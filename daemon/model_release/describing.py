@@ -10,7 +10,7 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from config.files import sha256_of
+from config.files import read_whole, sha256_of
 from config.records.release_record import ReleaseRecord
 from config.schema import Configuration
 from daemon.model_release.gate import channels_in_use
@@ -40,7 +40,7 @@ def described(configuration: Configuration) -> dict[str, Any]:
 def _in_force(configuration: Configuration) -> dict[str, Any]:
     path = configuration.compensation.model_file
     try:
-        content = b"" if path is None else path.read_bytes()
+        content = b"" if path is None else read_whole(path)
     except OSError:
         content = b""  # the daemon's own words about its model say why
     sensors = configuration.temperatures.sensor_ids

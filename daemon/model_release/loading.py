@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
-from config.files import sha256_of
+from config.files import read_whole, sha256_of
 from config.records.release_record import ReleaseRecord
 from config.schema import Configuration
 from config.signing import SigningError
@@ -126,7 +126,7 @@ def _loaded(
     unreleased = _not_released(wanted, path, account, record)
     if mismatch or (unreleased and not lenient):
         return LoadedModel(model=None, inhibit=mismatch or unreleased, record=record)
-    content = real.read_bytes()
+    content = read_whole(real)
     signed_by = ""
     if record is not None:
         try:
@@ -165,7 +165,7 @@ def read_model(
 ) -> tuple[ThermalModel | None, str]:
     """Return the model, or why it cannot serve a machine with these sensors that needs these channels."""
     try:
-        content = path.read_bytes()
+        content = read_whole(path)
     except OSError as error:
         return None, f"{path}: the thermal model cannot be read ({error.strerror})"
     return model_from_text(content, str(path), sensor_ids, channels, positions)

@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from config.files import sha256_of, sync_folder
+from config.files import read_whole, sha256_of, sync_folder
 from config.records.release_record import (
     ReleaseRecord,
     ReleaseRecordError,
@@ -73,7 +73,7 @@ class ReleaseRepository:
         folder = self.releases / f"{number:04d}"
         try:
             record = load_release_record(folder / RECORD_NAME)
-            content = (folder / MODEL_NAME).read_bytes()
+            content = read_whole(folder / MODEL_NAME)
         except ReleaseRecordError as error:
             raise ReleaseError(str(error)) from error
         except OSError as error:

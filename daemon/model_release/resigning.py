@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from config.files import write_whole
+from config.files import read_whole, write_whole
 from config.records.commissioning import load_commissioning
 from config.records.release_record import ReleaseRecordError, read_release_record
 from config.schema import Configuration
@@ -74,4 +74,4 @@ def _commissioning(configuration: Configuration) -> Iterator[tuple[Path, Purpose
     if path is not None and path.exists():
         record = load_commissioning(path)
         in_words = f"commissioning of {record.cnc_identity} by {record.person} on {record.date}"
-        yield path, "commissioning record", path.read_bytes(), in_words
+        yield path, "commissioning record", read_whole(path), in_words

@@ -11,7 +11,7 @@ from pathlib import Path
 from argon2 import PasswordHasher
 from argon2.exceptions import Argon2Error, InvalidHashError
 
-from config.files import write_whole
+from config.files import read_whole, write_whole
 from models.errors import RefusedInputError
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,63}")
@@ -69,7 +69,7 @@ def read_accounts(path: Path) -> dict[str, Account]:
     """Return the accounts of a file by name; raises AccountsError naming file and line."""
     try:
         mode = path.stat().st_mode
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = read_whole(path).decode().splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise AccountsError(
             f"{path}: the accounts of the monitor cannot be read ({getattr(error, 'strerror', None) or error}); "

@@ -49,15 +49,16 @@ def peer_name(connection: socket.socket) -> str:
 
 
 def clear_the_way(path: Path) -> None:
-    """Remove a socket that is no longer served; raises OSError when a process answers there."""
-    if not path.is_socket():
-        path.unlink(missing_ok=True)
-        return
+    """Remove a socket that is no longer served; raises OSError when a process answers there, and for another file."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(PROBE_S)
         try:
             probe.connect(str(path))
-        except (ConnectionRefusedError, FileNotFoundError):
+        except FileNotFoundError:
+            return
+        except ConnectionRefusedError:
+            if not path.is_socket():
+                raise OSError(errno.EEXIST, "what is there is no socket, and stays; name another place") from None
             path.unlink(missing_ok=True)
             return
         except (TimeoutError, BlockingIOError):

@@ -3,12 +3,15 @@
 import ssl
 from pathlib import Path
 
+from config.files import read_whole
 from config.secret_files import SecretError
 
 
 def tls_context(ca_certificate: Path | None) -> ssl.SSLContext:
     """Return what accepts a server whose certificate is vouched for; raises SecretError."""
     try:
+        if ca_certificate is not None:
+            read_whole(ca_certificate)  # of a pipe OpenSSL would wait for an end
         return ssl.create_default_context(cafile=None if ca_certificate is None else str(ca_certificate))
     except (OSError, ssl.SSLError) as error:
         raise SecretError(

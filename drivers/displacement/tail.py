@@ -11,6 +11,8 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from config.files import without_waiting
+
 HEAD_BYTES = 256
 """Bytes at the beginning of a file by which it is known again."""
 LOOK_BYTES = 65536
@@ -55,7 +57,7 @@ class FileTail:
         now = (state.st_size, state.st_mtime_ns)
         if now == self._seen:
             return Look(path=self.path)
-        with self.path.open("rb", buffering=0) as file:
+        with open(self.path, "rb", buffering=0, opener=without_waiting) as file:
             restarted = self._is_another(file.fileno())
             if restarted:
                 self._restart()

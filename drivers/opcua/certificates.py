@@ -14,6 +14,7 @@ from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 
+from config.files import read_whole
 from config.schema.cnc_drivers import OpcUaSecurityConfig
 from drivers.contract import FatalDriverError
 
@@ -70,7 +71,7 @@ def chain_thumbprint(chain: bytes) -> str:
 def read_file(path: Path, what: str) -> bytes:
     """Return a file's bytes; raises FatalDriverError that says what it was wanted for."""
     try:
-        return path.read_bytes()
+        return read_whole(path)
     except OSError as error:
         raise FatalDriverError(f"cannot read the {what} {path}: {error.strerror or error}") from error
 

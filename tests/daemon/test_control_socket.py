@@ -119,3 +119,11 @@ async def test_a_socket_that_is_served_is_not_taken_away(tmp_path):
 
     assert await serve(path, handle, work) == {"first": True}
     assert not path.exists()
+
+
+async def test_a_file_that_is_no_socket_is_not_taken_away(tmp_path):
+    named = tmp_path / "history.sqlite"
+    named.write_text("precious")
+    with pytest.raises(OSError, match="no socket, and stays"):
+        await ControlSocket(named, None, None).run()
+    assert named.read_text() == "precious"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from config.files import sha256_of
+from config.files import read_whole, sha256_of
 from daemon.cli.common import BAD_USAGE, FILE, config_option, option, read_configuration, refuse, say
 from daemon.cli.options import EXISTING_FILE, POSITIVE, FiniteFloat
 
@@ -203,7 +203,7 @@ def commission(
         accept_reversed=frozenset(accept_reversed),
         accept_scale=frozenset(accept_scale),
         positions=positions,
-        guard_program_sha256=None if guard_program is None else sha256_of(guard_program.read_bytes()),
+        guard_program_sha256=None if guard_program is None else sha256_of(read_whole(guard_program)),
     )
     sources = Sources(channels=channels, given=readings, samples=samples)
     sys.exit(_commission(configuration, plan, sources, record_file, report_path, simulated_clock, consent=yes))
@@ -277,7 +277,7 @@ def _compare_guard(configuration: "Configuration", path: Path) -> None:
     from drivers.guard.text import GuardTextError
 
     try:
-        same = path.read_bytes() == guard_program(configuration).encode("ascii")
+        same = read_whole(path) == guard_program(configuration).encode("ascii")
     except GuardTextError as error:
         refuse(str(error))
     if not same:

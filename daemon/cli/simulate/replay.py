@@ -8,6 +8,7 @@ from typing import Any
 import click
 import numpy as np
 
+from config.files import read_whole
 from daemon.cli.common import option, refuse, say, write_json
 from daemon.cli.options import EXISTING_FILE, FOLDER, NOT_NEGATIVE, POSITIVE, json_option
 from daemon.cli.pages import html_option, write_page
@@ -143,7 +144,7 @@ def page(
     """Return the page of a replay: what was measured, what the NC applied turned round, and what that left."""
     from daemon.workbench.thermal.result_pages import Stretch, replay_page
 
-    model = model_from_json(model_path.read_bytes(), str(model_path))
+    model = model_from_json(read_whole(model_path), str(model_path))
     measured, left = (
         np.array([series["channels"][axis][case] for axis in channels], dtype=np.float64).T
         for case in ("without", "with")

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from config.files import read_whole
 from daemon.cli.common import FILE, option, refuse, say, write_json
 from daemon.cli.options import NOT_A_FOLDER, NOT_NEGATIVE, POSITIVE, json_option
 
@@ -91,7 +92,7 @@ def _model(path: Path) -> "ThermalModel":
     from models.thermal.family import model_from_json
 
     try:
-        return model_from_json(path.read_bytes(), str(path))
+        return model_from_json(read_whole(path), str(path))
     except OSError as error:
         refuse(f"{path}: the thermal model cannot be read ({error.strerror})")
 

@@ -13,6 +13,7 @@ from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
+from config.files import read_whole
 from daemon.monitor.connections import BoundedConnections, Conversation
 from daemon.monitor.listening import listening
 from daemon.monitor.web.gate import CLOSE, HEADERS
@@ -116,6 +117,8 @@ class Certificate:
     def _loaded(self) -> ssl.SSLContext:
         context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
+        for path in (self._certificate, self._key):
+            read_whole(path)  # of a pipe OpenSSL would wait for an end
         context.load_cert_chain(self._certificate, self._key, password="")  # of an encrypted key nobody is asked
         return context
 

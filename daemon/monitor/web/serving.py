@@ -5,6 +5,7 @@ from collections.abc import Callable
 import structlog
 from cryptography import x509
 
+from config.files import read_whole
 from daemon.monitor.listening import in_url
 from daemon.monitor.web.application import MonitorParts, monitor_application
 from daemon.monitor.web.server import Certificate, serve_web
@@ -20,7 +21,7 @@ async def serve_monitor(parts: MonitorParts, on_serving: Callable[[], None] = la
     if service.tls_certificate is not None and service.tls_key is not None:
         try:
             certificate = Certificate(service.tls_certificate, service.tls_key)
-            names |= names_of_certificate(service.tls_certificate.read_bytes())
+            names |= names_of_certificate(read_whole(service.tls_certificate))
         except (OSError, ValueError) as error:
             raise OSError(f"{service.tls_certificate} and its key cannot be used ({error})") from error
     application = monitor_application(parts, names)

@@ -10,6 +10,7 @@ import structlog
 from cryptography import x509
 from pydantic import BaseModel
 
+from config.files import read_whole
 from config.schema import Configuration
 from config.schema.sinks import AlarmsConfig
 from daemon.history.reader import HistoryReader
@@ -174,7 +175,7 @@ def certificates(section: BaseModel, at: str = "") -> Iterator[tuple[str, Path]]
 def _ends_utc_s(key: str, path: Path) -> float | None:
     """Return when a certificate ends; of several authorities the last, of a chain the first. None: not known."""
     try:
-        content = path.read_bytes()
+        content = read_whole(path)
         if PEM in content:
             found = x509.load_pem_x509_certificates(content)
         else:

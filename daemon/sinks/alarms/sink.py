@@ -19,6 +19,7 @@ from typing import Any
 import structlog
 from pydantic import TypeAdapter
 
+from config.files import read_whole
 from config.schema import Configuration
 from config.schema.sinks import AlarmsConfig, SinkConfig
 from daemon.history.cursors import Cursor, Position, cursor_path
@@ -136,7 +137,7 @@ def state_path(store: Path, sink: str) -> Path:
 def watched(path: Path) -> Watched:
     """Return what a file says; what a new sink knows where there is none that can be read."""
     try:
-        return FILE.validate_json(path.read_bytes())
+        return FILE.validate_json(read_whole(path))
     except (OSError, ValueError):
         return Watched()
 

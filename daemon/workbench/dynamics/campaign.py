@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from config.files import sha256_of
+from config.files import read_whole, sha256_of
 from config.machine.spindle_chain import Spindle
 from config.recordings.recording_map import RecordingMap, usual_map
 from config.schema import Configuration
@@ -236,7 +236,7 @@ def run_campaign(
         source="impact campaign: " + "; ".join(str(run.folder.name) for run in runs),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         rigid_rotary_inertia=spindle.rotary,
-        spindle_sha256=sha256_of(spindle_file.read_bytes()),
+        spindle_sha256=sha256_of(read_whole(spindle_file)),
         axes={axis: fit[0] for axis, fit in fits.items()},
         training=tuple(_training(run) for run in runs),
     )

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
+from config.files import read_whole
 from config.recordings.machine_map import sensors_of
 from config.recordings.recording_map import RecordingMap
 from daemon.telemetry.metrics import keep_one_heap
@@ -21,7 +22,7 @@ from models.thermal.training.train_family import FamilyTraining, train_family
 def read_machine_type(path: Path) -> MachineType:
     """Return the type that a file holds; raises ModelError."""
     try:
-        return machine_type_from_json(path.read_bytes(), str(path))
+        return machine_type_from_json(read_whole(path), str(path))
     except OSError as error:
         sentence = f"cannot be read ({error.strerror}); `toolpoint fleet train -o` writes one"
         raise ModelError("", sentence, str(path)) from error
