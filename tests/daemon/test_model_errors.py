@@ -183,6 +183,8 @@ def test_the_command_says_it_and_ends_with_1_when_the_model_in_force_is_worn(tmp
     fill(configuration, start_s + 1000 * DAY_S, 60, lambda day: 0.1, model_id="m2", on=False)
     done = CliRunner().invoke(main, ["model", "drift", "--config", str(path), "--last", "90d"])
     assert "model m2: 120 probe values" in done.output, "the store of a replay is of another time"
+    done = CliRunner().invoke(main, ["model", "drift", "--config", str(path), "--last", "9d"])
+    assert "1 week is too few; it takes 16 to ask for training" in done.output, done.output
 
 
 def test_an_alarm_names_the_axis_whose_model_wears_out_and_ends_with_another_model(tmp_path: Path) -> None:

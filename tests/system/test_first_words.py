@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
 import yaml
 from click.testing import CliRunner, Result
@@ -27,6 +28,20 @@ def test_the_list_says_of_every_command_in_one_line_what_it_does() -> None:
         assert summary.endswith(".")
     assert "..." not in listed.split("Commands:")[1]
     assert all(len(line) <= 80 for line in listed.splitlines())
+
+
+GROUPS = ("alarm", "cnc", "dynamics", "fleet", "keys", "model", "sink", "sources", "stability", "thermal", "users")
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_every_command_in_a_group_is_listed_with_its_whole_sentence(group: str) -> None:
+    listed = toolpoint(group, "--help").output.split("Commands:")[1]
+    assert "..." not in listed and all(len(line) <= 80 for line in listed.splitlines()), listed
+    found = main.get_command(click.Context(main), group)
+    assert isinstance(found, click.Group)
+    for name, command in found.commands.items():
+        sentence = " ".join(str(command.help).split()).partition(". ")[0].removesuffix(".").replace(" ", "")
+        assert sentence in "".join(listed.split()), name
 
 
 @pytest.mark.parametrize("command", ["guard", "check", "run"])

@@ -11,7 +11,7 @@ import click
 import yaml
 
 from config.schema.base import ENDPOINT_PATTERN
-from daemon.cli.common import FILE, config_option, option, read_configuration, refuse, say, write_json
+from daemon.cli.common import FILE, Group, config_option, option, read_configuration, refuse, say, write_json
 from daemon.cli.options import FiniteFloat, json_option
 from models.json_values import printable
 
@@ -19,7 +19,7 @@ FAILED = 1
 """Exit status when the control could not be asked."""
 
 
-@click.group()
+@click.group(cls=Group)
 def cnc() -> None:
     """Look at the control, without writing anything."""
 

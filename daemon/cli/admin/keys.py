@@ -5,14 +5,14 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import config_option, read_configuration, say, write_json
+from daemon.cli.common import Group, config_option, read_configuration, say, write_json
 from daemon.cli.options import json_option
 
 FAILED = 1
 """Exit status when nothing was made or signed."""
 
 
-@click.group()
+@click.group(cls=Group)
 def keys() -> None:
     """Keys by which people answer for releases, commissioning records and back-ups.
 

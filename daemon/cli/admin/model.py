@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daemon.cli.common import config_option, option, read_configuration, refuse, say, write_json
+from daemon.cli.common import Group, config_option, option, read_configuration, refuse, say, write_json
 from daemon.cli.operate.history_view import duration
 from daemon.cli.options import NOT_A_FOLDER, POSITIVE, json_option
 
@@ -28,7 +28,7 @@ def _kind(bearings: bool) -> "Kind":
     return BEARINGS if bearings else THERMAL
 
 
-@click.group()
+@click.group(cls=Group)
 def model() -> None:
     """Released models: who released which, and the way back.
 
@@ -248,10 +248,12 @@ def _weeks(count: int) -> str:
 
 def _drift_in_words(found: dict[str, Any]) -> str:
     """Return one axis and model in a line."""
+    from models.thermal.drift import LEAST_WEEKS
+
     what = f"{found['values']} {'probe values' if found['source'] == 'probe' else 'minutes of displacements'}"
     head, told = f"axis {found['axis']}, model {found['model_id']}: {what}", found["drift"]
     if told is None:
-        return f"{head}; {_weeks(len(found['weeks']))} too few"
+        return f"{head}; {_weeks(len(found['weeks']))} too few; it takes {LEAST_WEEKS} to ask for training"
     low, high = (100.0 * each for each in told["share_interval"])
     until = told["until_bound_d"]
     ahead = "does not come nearer" if until is None else f"is reached in {until:.0f} d" if until else "is passed"

@@ -12,7 +12,7 @@ import click
 from config.schema import Configuration
 from config.schema.source_drivers import SourceEntry
 from daemon.cli.admin.scanning import scan
-from daemon.cli.common import config_option, option, read_configuration, refuse, say, write_json
+from daemon.cli.common import Group, config_option, option, read_configuration, refuse, say, write_json
 from daemon.cli.options import json_option
 from drivers import registry
 from drivers.clock import SystemClock
@@ -25,7 +25,7 @@ PATIENCE_S = 5.0
 """Time for the first cycle beyond its period [s]."""
 
 
-@click.group()
+@click.group(cls=Group)
 def sources() -> None:
     """Sources of temperatures and displacements: Modbus, logger files, the kernel, programs, MQTT, OPC UA tags."""
 

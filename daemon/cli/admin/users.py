@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, TextIO
 
 import click
 
-from daemon.cli.common import FILE, config_option, option, read_configuration, refuse, say, write_json
+from daemon.cli.common import FILE, Group, config_option, option, read_configuration, refuse, say, write_json
 from daemon.cli.options import json_option
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ password_option = click.option(
 )
 
 
-@click.group()
+@click.group(cls=Group)
 def users() -> None:
     """Accounts of the monitor: who may look (viewer), act (operator), tune the spindle speed too (engineer).
 

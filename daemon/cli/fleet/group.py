@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daemon.cli.common import FILE, option, refuse, say, write_json
+from daemon.cli.common import FILE, Group, option, refuse, say, write_json
 from daemon.cli.options import EXISTING_FILE, POSITIVE, ProgressBar, destination, directory_option, json_option
 
 if TYPE_CHECKING:
@@ -208,7 +208,7 @@ def simulate(
     sys.exit(0 if result.complete else 1)
 
 
-@click.group()
+@click.group(cls=Group)
 def fleet() -> None:
     """Many machines together."""
 

@@ -6,11 +6,11 @@ from typing import Any
 import click
 
 from config.schema.sinks import SinkConfig
-from daemon.cli.common import config_option, option, read_configuration, refuse, write_json
+from daemon.cli.common import Group, config_option, option, read_configuration, refuse, write_json
 from daemon.cli.options import json_option
 
 
-@click.group()
+@click.group(cls=Group)
 def alarm() -> None:
     """Try whether alarms reach people."""
 

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from config.schema import Configuration
-from daemon.cli.common import config_option, read_configuration, refuse, write_json
+from daemon.cli.common import Group, config_option, read_configuration, refuse, write_json
 from daemon.cli.options import json_option
 from daemon.history.database import HistoryError
 from daemon.sinks.running import run_sinks, sink_status
@@ -20,7 +20,7 @@ from daemon.telemetry.sd_notify import ServiceManager
 NOT_SENT = 1
 
 
-@click.group()
+@click.group(cls=Group)
 def sink() -> None:
     """Send the history to other systems; say how far each of them is."""
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daemon.cli.common import FILE, option, refuse, say, write_json
+from daemon.cli.common import FILE, Group, option, refuse, say, write_json
 from daemon.cli.options import LOBES_METHOD, NOT_NEGATIVE, POSITIVE, FiniteFloat, json_option, picture_option
 from daemon.cli.stability.recordings import chatter, roughness
 from daemon.cli.stability.studies import coefficients, compare, modes
@@ -41,7 +41,7 @@ def _points(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) 
     return tuple(found)
 
 
-@click.group()
+@click.group(cls=Group)
 def stability() -> None:
     """Stability of milling: lobes, a stable spindle speed, chatter in recordings."""
 

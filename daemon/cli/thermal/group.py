@@ -5,7 +5,16 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from daemon.cli.common import CONFIGURATION_VARIABLE, DEFAULT_CONFIGURATION, FILE, option, refuse, say, write_json
+from daemon.cli.common import (
+    CONFIGURATION_VARIABLE,
+    DEFAULT_CONFIGURATION,
+    FILE,
+    Group,
+    option,
+    refuse,
+    say,
+    write_json,
+)
 from daemon.cli.options import POSITIVE, ProgressBar, common_columns_option, destination, hours_option, json_option
 from daemon.cli.thermal.campaign import campaign
 from daemon.cli.thermal.evaluate import MODELS, evaluate, settings_text
@@ -62,7 +71,7 @@ def _ridge(ctx: click.Context, param: click.Parameter, value: str | None) -> flo
     return penalty
 
 
-@click.group()
+@click.group(cls=Group)
 def thermal() -> None:
     """Thermal models: train them from recordings, evaluate them, and compare sensors."""
 
