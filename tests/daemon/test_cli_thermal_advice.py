@@ -65,6 +65,18 @@ def test_a_reversed_run_is_named_once_by_an_evaluation_with_every_family(tmp_pat
     assert len(named) == 1 and named[0].startswith("run04.csv: c1 reads the wrong way round")
 
 
+def test_a_cycle_that_goes_against_the_others_is_no_sensor_that_was_mounted_the_wrong_way_round(tmp_path: Path) -> None:
+    """Nobody turns a sensor round within a recording, and without the recording nothing would be left."""
+    parts = [np.loadtxt(run(tmp_path, number, turned=number == 1), delimiter=",", skiprows=1) for number in range(1, 6)]
+    table = np.vstack([np.pad(part[:150], ((0, 30), (0, 0)), mode="edge") for part in parts])
+    path, table[:, 0] = tmp_path / "long.csv", 60.0 * np.arange(len(table))
+    table[np.arange(len(table)) % 180 >= 150, 1] = 0.0
+    np.savetxt(path, table, delimiter=",", header="t,rpm,T1,T2,T3,c1,c2", comments="", fmt="%.9g")
+    found = evaluated(path, "--leave-out-cycles")
+    assert found["tests"][0]["reduction_rmse"] < 0.0
+    assert "the wrong way round" not in advice(found)
+
+
 def evaluated(*arguments: object, model: str = "ridge") -> dict[str, Any]:
     result = CliRunner().invoke(main, ["thermal", "evaluate", *map(str, arguments), "--model", model, "--json", "-"])
     assert result.exit_code == 0, result.output

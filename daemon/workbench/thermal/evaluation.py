@@ -307,8 +307,8 @@ def _figures(inputs: Inputs, outcomes: Sequence[_Outcome], record_next: Sequence
     tested = tuple(f"{o.name}: " for o in outcomes)
     said = [f"{one}; as a test it counts in these figures" if one.startswith(tested) else one for one in turned]
     said += record_next
-    residuals = {o.name: [(trial.measured_um, trial.residual_um) for trial in o.trials] for o in outcomes}
-    said += [*reversed_sentences(inputs.channels, residuals, said), *harm_sentences(channels, by_test)]
+    said += [*reversed_sentences(inputs.channels, _to_be_judged(inputs, outcomes), said)]
+    said += harm_sentences(channels, by_test)
     said += [*on_line_sentences(tests, {o.name: o.beyond for o in outcomes}), *position_sentences(tests)]
     excluded = [one["sensor"] for test in tests for one in test["excluded"]]
     return {
@@ -326,6 +326,23 @@ def _figures(inputs: Inputs, outcomes: Sequence[_Outcome], record_next: Sequence
         "false_alarms": len(excluded),
         "false_alarm_sensors": excluded,
         "tests": tests,
+    }
+
+
+MOSTLY = 0.5
+"""A test is mostly followed where the output would follow the estimate for more than this share of its rows."""
+
+
+def _to_be_judged(inputs: Inputs, outcomes: Sequence[_Outcome]) -> dict[str, list[tuple[FloatArray, FloatArray]]]:
+    """Return measured errors and residuals of the tests that can tell that a sensor was mounted the wrong way round.
+
+    These are whole recordings, because within one nobody turns a sensor round, in which the output would mostly follow:
+    where a test goes beyond training its estimate may have any sign.
+    """
+    return {
+        o.name: [(trial.measured_um, trial.residual_um) for trial in o.trials]
+        for o in outcomes
+        if o.name in inputs.recording_names and following_share([one.followed for one in o.online]) > MOSTLY
     }
 
 
