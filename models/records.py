@@ -220,6 +220,9 @@ class ThermalErrorEstimate:
     probe_wander: tuple[FloatArray, FloatArray] | None = None
     """Variance that what the model misses gains per minute [um^2/min], and the time constant with which it returns to
     zero [min], per channel; None: not known."""
+    follows: tuple[str, FloatArray] | None = None
+    """The model before it since the reference, and how much more that one made of the same temperatures at the change
+    [um], per channel, NaN for one that it did not have; None: there was none."""
 
     def __post_init__(self) -> None:
         _lock(self.thermal_error_um, self.band_um)

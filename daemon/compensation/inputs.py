@@ -1,6 +1,7 @@
 """Builds the inputs of one step of the output from what the control task knows."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -64,6 +65,7 @@ def output_inputs(view: OutputView) -> OutputInputs:
         estimate_reference_id=estimate.reference_id if estimate is not None else None,
         kept_reference_id=record.reference_id if record is not None else None,
         model_id=estimate.model_id if estimate is not None else None,
+        follows=_follows(view.sources, estimate),
         output_fault=view.fault,
         inhibits=view.inhibits,
         request=view.request,
@@ -94,3 +96,10 @@ def error_of_tool_point_um(
     if estimate is None:
         return np.full(len(sources), np.nan)
     return nose_errors_um(sources, estimate) + tool_term_um(sources, estimate, reference, tool_number)
+
+
+def _follows(sources: Sequence[AxisSource], estimate: ThermalErrorEstimate | None) -> tuple[str, FloatArray] | None:
+    if estimate is None or estimate.follows is None:
+        return None
+    model_id, more_um = estimate.follows
+    return model_id, nose_errors_um(sources, replace(estimate, thermal_error_um=more_um))

@@ -98,6 +98,7 @@ class ThermalTask:
         self._in_use = partial(_in_use, self._past, self._cleansing, temperatures, self._positions)
         self._online = self._in_use(model)
         self._next: ModelInUse | None = None  # waits for an estimate to go on from, or a reference
+        self._follows: tuple[str, FloatArray] | None = None  # see ThermalErrorEstimate
         self._since = SinceReference(self._sensor_ids, self._labels)
         self._levels = LevelMemory(history, self._sensor_ids, clock)
         self._cleansing.levels, self._since.excluded = self._levels.restored(), self._levels.excluded_before()
@@ -189,6 +190,7 @@ class ThermalTask:
                 await self._count_from_reference(online, self._reference, now_s)
         at_once = at_once or self._online is None or online is None or self._reference is None
         self._online, self._next = (online, None) if at_once else (self._online, online)
+        self._follows = None if at_once else self._follows
 
     async def _count_from_reference(self, online: ModelInUse, reference: Reference, now_s: float) -> None:
         known = (self._since.excluded, self._since.of_model, self._positions.at_reference(reference.degc))
@@ -221,7 +223,10 @@ class ThermalTask:
         known = (self.latest_estimate, renewed, self._cleansing, self._positions)
         if self._next is not None and not _waits_for(self._next, *known):
             self._online, self._next = self._next, None
-            renewed = self._estimate(temperatures)
+            before, renewed = renewed, self._estimate(temperatures)
+            if before is not None and renewed is not None:
+                self._follows = _more(before, renewed)
+                renewed = replace(renewed, follows=self._follows)
         if renewed is not None:
             self.latest_estimate = renewed
             self.estimates += 1
@@ -288,6 +293,7 @@ class ThermalTask:
             line=temperatures.line,
             trace=replace(temperatures.trace, estimated=self._clock.now()),
             probe_wander=_probe_wander(model),
+            follows=self._follows,
         )
 
     def _set_reference(self, request: ReferenceRequest) -> None:
@@ -301,6 +307,7 @@ class ThermalTask:
             return
         self._reference = reference = _reference(request, now, degc)
         self._online, self._next, self._taken_up_s = self._next or self._online, None, -np.inf
+        self._follows = None
         self._cleansing.trust_anew(reference.reference_id, self._since.excluded)
         self._since.begin(reference)
         self._since.positions_mm = self._positions.set_reference(now.monotonic_s)
@@ -372,6 +379,13 @@ async def _turns(count: int) -> None:
     """Let every other task go on, so many times."""
     for _ in range(count):
         await asyncio.sleep(0)
+
+
+def _more(before: ThermalErrorEstimate, after: ThermalErrorEstimate) -> tuple[str, FloatArray]:
+    """Return the model before, and how much more it makes of the same temperatures than the one after it [um]."""
+    known = dict(zip(before.channels, before.thermal_error_um, strict=True))
+    then_um = np.array([known.get(channel, np.nan) for channel in after.channels])
+    return before.model_id, then_um - after.thermal_error_um
 
 
 def _waits_for(

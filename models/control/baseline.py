@@ -264,6 +264,7 @@ def _rest_at(memory: OutputMemory, inputs: OutputInputs, moved: npt.NDArray[np.b
 def _follow_model(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
     """Let another model count on from where the one before it was, axis by axis, once it has an estimate.
 
+    Where it is known what both make of the same temperatures, what these changed since is no difference of the models.
     Weight, tool term, probes and a command that lags behind the request have no part in it.
     """
     if memory.model_id is None:
@@ -277,5 +278,9 @@ def _follow_model(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
         return memory
     before = memory.error_um if memory.error_um is not None else np.zeros_like(memory.command_um)
     begins = np.isnan(shift) & np.isfinite(inputs.thermal_error_um)
-    shift = np.where(begins, before - inputs.thermal_error_um, shift)
+    goes_on = before - inputs.thermal_error_um
+    if inputs.follows is not None and inputs.follows[0] == memory.model_id:
+        more = model_shift_um(memory) + inputs.follows[1]
+        goes_on = np.where(np.isfinite(more), more, goes_on)
+    shift = np.where(begins, goes_on, shift)
     return replace(with_model(memory), model_id=inputs.model_id, model_shift_um=shift)

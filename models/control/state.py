@@ -144,6 +144,8 @@ class OutputInputs:
     kept_reference_id: str | None = None
     """The latest reference, valid or ended, that estimates and tool settings count from; None when none may."""
     model_id: str | None = None
+    follows: tuple[str, FloatArray] | None = None
+    """The model before, and how much more it made of the same temperatures per axis, NaN where unknown [um]."""
     output_fault: str | None = None
     """Why the output is not trusted (read-back differs, foreign value, exception)."""
     inhibits: tuple[Inhibit, ...] = ()
