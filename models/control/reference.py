@@ -196,10 +196,11 @@ def refuse(memory: ReferenceMemory, reference_id: str, why: str) -> Step:
     """Take the refusal of a reference that was asked for; work that was positioned has none then."""
     asked = _request_for(memory, reference_id)
     effects: tuple[Effect, ...] = (ReferenceEnded(reference_id=reference_id),)
-    memory = replace(withdraw(memory, reference_id), outcome=(reference_id, why))
-    if asked is not None and asked.positioning:
-        memory, more = end(memory, f"the work was positioned again, and that set none ({why})")
+    memory = replace(memory, outcome=(reference_id, why))
+    if asked is not None and asked.positioning:  # it is still waited for, so that this is why there is none
+        memory, more = end(memory, f"the work was positioned, and that set none ({why})")
         effects += more
+    memory = withdraw(memory, reference_id)
     if memory.record is not None and not memory.requests:  # one that is still to come would be lost by going back
         effects += (ReferenceTakenUp(reference=memory.record.reference, sensors=memory.record.sensors),)
     return memory, effects
@@ -214,7 +215,7 @@ def withdraw(memory: ReferenceMemory, reference_id: str) -> ReferenceMemory:
 def end(memory: ReferenceMemory, why: str, *, for_good: bool = False) -> Step:
     """End the reference in force, and what was asked for before."""
     record, in_force = memory.record, memory.in_force is not None
-    ended = why if in_force or memory.requests else memory.ended
+    ended = why if in_force or memory.requests else memory.ended or why
     memory = replace(memory, requests=(), ended=ended)
     if record is None or not (in_force or for_good):
         return moved(memory), ()

@@ -629,3 +629,13 @@ class Workshop(RuleBasedStateMachine):
 
 def test_whatever_happens_nothing_is_in_force_but_the_reference_of_the_latest_positioning():
     run_state_machine_as_test(Workshop, settings=settings(max_examples=60, stateful_step_count=40, deadline=None))
+
+
+def test_the_refusal_of_the_first_positioning_is_why_there_is_no_reference():
+    memory, question = asked_for(polled(ReferenceMemory(), sample())[0])
+    refused, _ = reference.refuse(memory, "r1", "no temperatures")
+    assert refused.state is NONE and refused.ended == "the work was positioned, and that set none (no temperatures)"
+    refused, _ = reference.adopt(memory, answered(question), ZERO_FIRST, still_applied_um=3.0)
+    assert "that set none" in refused.ended and "zero_first" in refused.ended
+    ended, _ = reference.end(polled(ReferenceMemory(), sample())[0], "a request was refused")
+    assert ended.ended == "a request was refused", "the program's request was not a positioning that never passed"
