@@ -1,6 +1,6 @@
 """Snapshots: one frozen record of each task's latest state, and the board from which the monitor reads them."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -22,8 +22,12 @@ class Contributions:
 
     sensor_ids: tuple[int, ...]
     channels: tuple[str, ...]
-    um: FloatArray
-    """Shape (n_sensors, n_channels) [um]."""
+    work_out: Callable[[], FloatArray]
+
+    @property
+    def um(self) -> FloatArray:
+        """Shape (n_sensors, n_channels) [um]; worked out where somebody looks, which hardly anybody does."""
+        return self.work_out()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -154,7 +154,7 @@ class ModelInUse:
         found = self._online.contributions_um()
         if found is None:
             return None
-        return Contributions(sensor_ids=self.model.sensor_ids, channels=self.model.channels, um=found)
+        return Contributions(sensor_ids=self.model.sensor_ids, channels=self.model.channels, work_out=found)
 
     def level_um(self, uncertainty_k: FloatArray) -> float:
         """Return by how much the thermal error may be wrong if sensors' levels are wrong by so much [K]."""

@@ -210,11 +210,11 @@ def _change_state(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimi
     for condition, target in TRANSITIONS[memory.state]:
         if holds[condition]:
             return _enter(memory, target, condition, why, inputs)
-    if memory.state in (OutputState.ARMED, OutputState.HOLD):
-        return replace(memory, reason=why or memory.reason)
     if memory.state is OutputState.FAULT:
-        return replace(memory, reason=inputs.output_fault or memory.reason)
-    return memory
+        why = inputs.output_fault or ""
+    elif memory.state not in (OutputState.ARMED, OutputState.HOLD):
+        return memory
+    return memory if why in ("", memory.reason) else replace(memory, reason=why)
 
 
 def _enter(

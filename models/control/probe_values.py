@@ -165,4 +165,5 @@ def follow_confidence(memory: OutputMemory, inputs: OutputInputs, limits: Output
     cutting = inputs.phase is Phase.CUTTING and memory.state in (OutputState.ACTIVE, OutputState.HOLD)
     if cutting or inputs.confidence < limits.min_confidence:
         return memory
-    return replace(memory, weight=weight_of(inputs.confidence, limits))
+    weight = weight_of(inputs.confidence, limits)
+    return memory if weight == memory.weight else replace(memory, weight=weight)

@@ -1,6 +1,6 @@
 """Inputs and results of a thermal model on line, whichever its family."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -107,8 +107,11 @@ class OnlineModel(Protocol):
         on from where it was imputed.
         """
 
-    def contributions_um(self) -> FloatArray | None:
-        """Return what each sensor adds to the latest estimate [um], shape (n_sensors, n_channels); None before one."""
+    def contributions_um(self) -> Callable[[], FloatArray] | None:
+        """Return what works out what each sensor adds to the latest estimate; None before one.
+
+        Result of the call: of shape (n_sensors, n_channels) [um], whatever has been estimated since.
+        """
 
     def level_um(self, uncertainty_k: FloatArray) -> float:
         """Return by how much the thermal error may be wrong if sensors' levels are wrong by so much [K]."""

@@ -6,8 +6,9 @@ and what sensors that returned count from, does not follow from the temperatures
 reference, and brings it back with it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,6 @@ class LinearOnline:
         self._speed_rpm = float("nan")
         self._excluded: tuple[int, ...] = ()
         self._latest: ModelState | None = None
-        self._contributions_um: FloatArray | None = None
 
     @property
     def history_min(self) -> float:
@@ -140,7 +140,7 @@ class LinearOnline:
         else:
             state = self._now(reference.now_min, reference.degc)
         self._reference = None if state is None else state_reference(self._estimator, state)
-        self._reference_min, self._anew, self._contributions_um = reference.time_min, set(), None
+        self._reference_min, self._anew = reference.time_min, set()
         if readmitted_ids and before is not None and self._state is not None and self._reference is not None:
             self._anew = {i for i in map(self.model.sensor_ids.index, readmitted_ids) if not before.missing[i]}
             self._reference = replace(self._reference, shift_degc=self._state.lagged - before.lagged)
@@ -209,7 +209,7 @@ class LinearOnline:
             self._anew |= set(back)
             anew = tuple(self.model.sensor_ids[i] for i in back)
         self._excluded = excluded_sensors(state, self._reference.state)
-        self._latest, self._contributions_um = state, None
+        self._latest = state
         estimation = estimate_since(self._estimator, state, self._reference)
         wrong = set(_found_wrong(state))
         if estimation is not None and (found_now := wrong - self._wrong):
@@ -222,13 +222,11 @@ class LinearOnline:
         """Return by how much the thermal error may be wrong if sensors' levels are wrong by so much [K]."""
         return self._estimator.left_out.level_um(uncertainty_k, self._excluded)
 
-    def contributions_um(self) -> FloatArray | None:
-        """Return what each sensor adds to the latest estimate [um], shape (n_sensors, n_channels)."""
+    def contributions_um(self) -> Callable[[], FloatArray] | None:
+        """Return what works out what each sensor adds to the latest estimate [um], shape (n_sensors, n_channels)."""
         if self._latest is None or self._reference is None:
             return None
-        if self._contributions_um is None:
-            self._contributions_um = contributions_um(self._estimator, self._latest, self._reference.state)
-        return self._contributions_um
+        return partial(contributions_um, self._estimator, self._latest, self._reference.state)
 
     def _counted(self, degc: FloatArray) -> FloatArray:
         """Return the temperatures without those of sensors that another model found wrong [degC]."""

@@ -145,7 +145,7 @@ async def test_the_estimate_says_which_sensors_carry_it_and_what_is_measured_bes
     thermal = replace(
         rig.snapshots.thermal,
         estimate=rig.estimate(2.0, -3.0),
-        contributions=Contributions(sensor_ids=(1, 11), channels=("Y1", "Z1"), um=um),
+        contributions=Contributions(sensor_ids=(1, 11), channels=("Y1", "Z1"), work_out=lambda: um),
     )
     rig.snapshots.thermal = thermal
     found = (await bench.browser().get("/api/v1/estimate")).json

@@ -24,7 +24,7 @@ def test_contributions_and_drift_are_the_estimate(degc, then, minutes):
     online.set_reference(OnlineReference(time_min=0.0, now_min=0.0, degc=then))
     online.on_sample(minutes, degc, float("nan"))
     estimate, _ = online.estimate(minutes, degc, np.zeros(SENSORS, dtype=bool))
-    found = online.contributions_um()
+    found = online.contributions_um()()
     assert found.shape == (SENSORS, len(MODEL.channels))
     np.testing.assert_allclose(
         found.sum(axis=0) + minutes * MODEL.drift_um_per_min, estimate.thermal_error_um, rtol=1e-9, atol=1e-9
@@ -42,4 +42,4 @@ def test_a_sensor_that_does_not_count_adds_nothing():
     absent = np.zeros(SENSORS, dtype=bool)
     absent[0] = True
     online.estimate(1.0, now, absent)
-    assert not online.contributions_um()[0].any()
+    assert not online.contributions_um()()[0].any()

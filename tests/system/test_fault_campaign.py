@@ -13,6 +13,7 @@ from click.testing import Result as ClickResult
 
 from daemon.cli import main
 from daemon.cli.simulate.demo import demo_machine
+from daemon.cli.simulate.faults import on_one_core
 from daemon.history import HistoryReader
 from daemon.simulation.faults import campaign
 from daemon.simulation.faults.result import Result, failures, numbers, summary
@@ -227,6 +228,14 @@ def test_the_command_prints_its_contract() -> None:
     assert f"seed {content['seed']}\n" in done.stderr, "drawn, and printed so that it can be played again"
     assert content["processor_s"] > 0
     assert "day 0.00 of 0.01" in done.stderr
+
+
+def test_a_campaign_stays_on_one_core_of_those_that_it_was_given() -> None:
+    given = os.sched_getaffinity(0)
+    with on_one_core(2**31 - 1):
+        (core,) = os.sched_getaffinity(0)
+    assert core in given
+    assert os.sched_getaffinity(0) == given
 
 
 @pytest.mark.parametrize(

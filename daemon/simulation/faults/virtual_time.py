@@ -5,6 +5,7 @@ asks the world that it lives in to move time on to its next timer, or to the nex
 """
 
 import asyncio
+import math
 import selectors
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -31,11 +32,14 @@ class VirtualClock:
         self.monotonic_s = monotonic_s
         self.utc_step_s = 0.0
         """By how much the calendar clock was set forward [s]."""
+        self._now = Instant(monotonic_s=math.nan, utc_s=math.nan, real_s=math.nan)
 
     def now(self) -> Instant:
         """Return the moment; what would be the computer's own monotonic clock is virtual too."""
         utc_s = self.epoch_utc_s + self.utc_step_s + self.monotonic_s
-        return Instant(monotonic_s=self.monotonic_s, utc_s=utc_s, real_s=self.monotonic_s)
+        if self._now.monotonic_s != self.monotonic_s or self._now.utc_s != utc_s:  # asked many times a moment
+            self._now = Instant(monotonic_s=self.monotonic_s, utc_s=utc_s, real_s=self.monotonic_s)
+        return self._now
 
     async def sleep(self, duration_s: float) -> None:
         await asyncio.sleep(max(0.0, duration_s))
