@@ -99,17 +99,21 @@ def demo(
             arguments += ["--faults", str(faults_path.resolve())]
         with start_simulation(arguments, path, speed=speed, epoch_utc_s=time.time(), directory=folder) as running:
             switch_on(running)
+            trail = Trail()
             if headless:
                 watch(running, duration_s, lambda status: None, 1.0)
             else:
-                trail, seen = _show(running, duration_s)
-                if math.isinf(duration_s):
-                    say_result(trail, seen, page_address(port))
+                seen = _show(running, duration_s, trail)
+                if running.time_s < duration_s:  # a person has ended it
+                    say_result(trail, seen, port)
                     return
             final, status = settle(running)
+            trail.take(running.reports)
             period_s = min(each.cycle_period_s for each in load_configuration(path).temperatures.inputs)
     numbers, failures = result(final, status, too_slow(final["late_real_s"], speed, period_s))
     write_json(json_path, numbers)
+    if json_path is None:
+        say_result(trail, status, port)
     for failure in failures:
         say(failure)
     sys.exit(1 if failures else 0)
@@ -142,14 +146,14 @@ def page_address(port: int | None) -> str:
     return f"http://127.0.0.1:{port}/"
 
 
-def _show(running: RunningSimulation, until_s: float) -> tuple[Trail, dict[str, Any]]:
-    """Show both until the time is over or a person ends it; return the trail and the status that were seen last."""
+def _show(running: RunningSimulation, until_s: float, trail: Trail) -> dict[str, Any]:
+    """Show both until the time is over or a person ends it; return the status that was seen last."""
     from rich.console import Console
     from rich.live import Live
 
     from daemon.monitor.view import status_view, truth_panel
 
-    trail, seen = Trail(), running.client.ask("status")
+    seen = running.client.ask("status")
     port = running.configuration.service.http_port
     with Live(console=Console(), screen=True, auto_refresh=False) as live:
 
@@ -165,18 +169,19 @@ def _show(running: RunningSimulation, until_s: float) -> tuple[Trail, dict[str, 
 
         with contextlib.suppress(KeyboardInterrupt):
             watch(running, until_s, look, LIVE_PERIOD_S)
-    return trail, seen
+    return seen
 
 
-def say_result(trail: Trail, status: dict[str, Any], address: str) -> None:
-    """Say what was seen, for when the live view has gone from the screen."""
+def say_result(trail: Trail, status: dict[str, Any], port: int | None) -> None:
+    """Say what was seen, for when the live view has gone from the screen, or there was none."""
     minutes, writes, feedback = trail.time_s / 60.0, status["writes"], status["latency_s"]["feedback"]
     say(f"seen until {minutes:.0f} min of the machine's time; the output is {status['output']['state']}")
     for axis, (without, compensated) in trail.largest_um().items():
         say(f"axis {axis}: error up to {without:.1f} um without compensation, up to {compensated:.1f} um with it")
     delay = "" if feedback["mean"] is None else f"; feedback {feedback['mean'] * 1e3:.0f} ms in the mean"
     say(f"{writes['verified']} of {writes['sent']} writes read back and equal{delay}")
-    say(f"the pages were at {address}; `toolpoint demo` shows them again")
+    if port is not None:
+        say(f"the pages were at {page_address(port)}; `toolpoint demo` shows them again")
 
 
 BROKEN_OFF = 1

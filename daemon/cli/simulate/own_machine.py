@@ -56,7 +56,7 @@ def simulate_own(
                 say(f"watch it at {page_address(port)}; Ctrl-C ends")
             with suppress(KeyboardInterrupt):
                 watch(running, duration_s, lambda status: None, LOOK_S)
-            if math.isinf(duration_s):
+            if running.time_s < duration_s:  # a person has ended it
                 return
             final, status = settle(running)
             period_s = min(each.cycle_period_s for each in running.configuration.temperatures.inputs)
