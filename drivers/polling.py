@@ -44,6 +44,9 @@ class PolledSource(RowSource):
                 behind = (self._clock.now().monotonic_s - due_s) // self._period_s
                 due_s += self._period_s * (max(behind, 0.0) + 1.0)
                 await self._wait_until(due_s)
+        except Exception:
+            if not self._closed.is_set():  # while it was being closed an open or a read may fail in any way
+                raise
         finally:
             await self.close()
 

@@ -6,6 +6,7 @@ smaller than what has been read of it, or when its first 256 bytes, or the last 
 changed.
 """
 
+import copy
 import glob
 import os
 from dataclasses import dataclass
@@ -116,11 +117,15 @@ class FileFollower:
             tail = self._tails.get(path)
             if tail is None:
                 tail = self._tails[path] = FileTail(path, self._max_line_bytes)
+            before = copy.copy(tail)
             try:
                 look = tail.look()
             except OSError as error:
                 cause = f"{path.name} cannot be read now: {error.strerror or error}"
                 continue
+            if look.restarted and not set(self._paths()) <= set(paths):
+                self._tails[path] = before  # what it was has another name now, and what was not read of it comes first
+                return self.look()
             cause = None
             if look.lines or look.restarted or look.overlong or look.more:
                 return look, None

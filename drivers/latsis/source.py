@@ -165,6 +165,8 @@ class LatsisSerialSource:
             raise item
         data, arrived = item
         if stood_s := self._overdue_s(arrived):  # the timer has given up a line that was silent for so long already
+            if arrived.monotonic_s - self._last_bytes.monotonic_s <= self._dead_line_s:
+                raise LinkError(self._why_dead(arrived, stood_s))
             raise LinkError(
                 f"line {self.name}: this computer stood still for up to {stood_s:.0f} s, and nobody knows how old "
                 "is what came meanwhile: see what stopped the daemon (a debugger, memory, a paused virtual machine)"

@@ -61,6 +61,7 @@ class ModbusClient:
         self._where = f"{owner}: {config.place}"
         self._sent_number = 0
         self._heard_s = 0.0
+        self._closed = False
         self._client = self._built()
         self._of_library = self._client.ctx.callback_data
         self._client.ctx.callback_data = self._taken  # type: ignore[method-assign]
@@ -113,6 +114,9 @@ class ModbusClient:
                 connected = await self._client.connect()
         except (TimeoutError, OSError, ModbusException, UnicodeError):  # the last of a host's name that is none
             connected = False
+        if self._closed:  # meanwhile, and the library would keep what it has opened since
+            self._drop()
+            raise LinkError(f"{self._where} was closed while it was being connected")
         if not connected:
             raise LinkError(f"{self._where} {self._why_not_connected()}")
         if self._config.is_rtu:
@@ -194,5 +198,10 @@ class ModbusClient:
 
     def close(self) -> None:
         """Close. May be called in any state, more than once; never raises."""
+        self._closed = True
+        self._drop()
+
+    def _drop(self) -> None:
         with contextlib.suppress(Exception):
+            self._client.ctx.is_closing = False  # once closed it would not close what it opened after that
             self._client.close()

@@ -13,6 +13,7 @@ from displacement_file import HEADER, PATIENCE_S, T0, Follower, append, config, 
 from drivers.clock import SystemClock
 from drivers.contract import DisplacementSource, LinkError
 from drivers.displacement import source as displacement_csv
+from drivers.displacement import tail
 from drivers.displacement.source import DisplacementCsvSource
 from drivers.displacement.tail import CATCH_UP_FILES, FileTail
 from models.records import DisplacementSample
@@ -88,6 +89,32 @@ async def test_a_file_that_was_renamed_when_the_next_one_began_repeats_nothing(t
         append(path, row(2))
         path.rename(tmp_path / "logger-1.csv")
         append(path, HEADER + row(3))
+        await follower.until(4)
+        await follower.settle()
+    assert minutes(follower.samples) == [0, 1, 2, 3]
+
+
+async def test_a_file_that_is_renamed_after_the_folder_was_listed_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "logger.csv"
+    append(path, HEADER + row(0) + row(1))
+    rotate = asyncio.Event()
+    listed = tail.glob.glob
+
+    def listed_then_renamed(pattern: str) -> list[str]:
+        found = listed(pattern)
+        if rotate.is_set():
+            rotate.clear()
+            append(path, row(2))
+            path.rename(tmp_path / "logger-1.csv")
+            append(path, HEADER + row(3))
+        return found
+
+    monkeypatch.setattr(tail.glob, "glob", listed_then_renamed)
+    async with Follower(config(tmp_path / "*.csv")) as follower:
+        await follower.until(2)
+        rotate.set()
         await follower.until(4)
         await follower.settle()
     assert minutes(follower.samples) == [0, 1, 2, 3]

@@ -188,20 +188,21 @@ async def closing_ends_the_rows_at_any_time_and_more_than_once(bench: SourceBenc
     never = bench.open()
     await never.close()
     await never.close()
-    source = bench.open()
 
-    async def follow() -> None:
+    async def follow(source: RowSource) -> None:
         async for _ in source.rows():
             pass
 
-    task = asyncio.create_task(follow())
-    await asyncio.sleep(0.05)
-    await source.close()
-    await source.close()
-    async with asyncio.timeout(PATIENCE_S):
-        await task
-    with pytest.raises(RuntimeError, match="used once"):
-        await anext(source.rows())
+    for wait_s in (0.0, 0.004, 0.008, 0.016, 0.05):  # before it is asked for anything, while it opens, at work
+        source = bench.open()
+        task = asyncio.create_task(follow(source))
+        await asyncio.sleep(wait_s)
+        await source.close()
+        await source.close()
+        async with asyncio.timeout(PATIENCE_S):
+            await task
+        with pytest.raises(RuntimeError, match="used once"):
+            await anext(source.rows())
 
 
 async def twenty_sources_leave_nothing_open(bench: SourceBench) -> None:
