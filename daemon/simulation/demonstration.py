@@ -77,7 +77,7 @@ def settle(running: RunningSimulation) -> tuple[dict[str, Any], dict[str, Any]]:
 def result(final: dict[str, Any], status: dict[str, Any], slow: str = "") -> tuple[dict[str, Any], list[str]]:
     """Return the demonstration's numbers and every check of its own that failed.
 
-    `slow` says that the computer is too slow; it comes first when cycles are incomplete that no fault explains.
+    `slow` says that the computer is too slow; it comes first when cycles are incomplete or missing that no fault explains.
     """
     errors = {}
     untouched = {"uncompensated_max_um": 0.0, "compensated_max_um": 0.0}
@@ -107,8 +107,8 @@ def result(final: dict[str, Any], status: dict[str, Any], slow: str = "") -> tup
     missing = numbers["cycles"]["expected"] - numbers["cycles"]["received"]
     lost = [] if 0 <= missing <= may_be_left_out(final) else [_not_arrived(numbers["cycles"])]
     failures = lost + _failures(numbers, status, final)
-    unexplained = numbers["cycles"]["incomplete"] and not sum(final["cycles_disturbed"].values())
-    return numbers, [slow, *failures] if slow and unexplained else failures
+    incomplete = numbers["cycles"]["incomplete"] and not sum(final["cycles_disturbed"].values())
+    return numbers, [slow, *failures] if slow and (incomplete or lost) else failures
 
 
 def may_be_left_out(final: dict[str, Any]) -> int:

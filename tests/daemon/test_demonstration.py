@@ -46,3 +46,10 @@ def status_with(received: int, incomplete: int = 0) -> dict[str, Any]:
         "output": {"state": "ACTIVE", "reason": ""},
         "written_axes": [],
     }
+
+
+def test_why_cycles_did_not_arrive_is_said_first() -> None:
+    final = {"truth": {}, "cycles_sent": {"bed": 900, "box": 150}, "cycles_disturbed": {"bed": 0}}
+    slow = too_slow(0.120, speed=60.0, cycle_period_s=5.0)
+    assert result(final, status_with(received=1000), slow)[1] == [slow, "1050 cycles were sent, 1000 arrived"]
+    assert result(final, status_with(received=1050), slow)[1] == []

@@ -1,12 +1,14 @@
 """`toolpoint simulate` on a stranger's configuration: any components, any source, another control."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
+from pace import bearable
 from sloped_machine import PIVOT_MM, TRAVEL_MM
 from sloped_machine import content as sloped_content
 
@@ -107,7 +109,12 @@ def test_a_run_in_which_nobody_switches_on_fails_for_nothing_that_follows_from_i
 def test_a_strangers_machine_comes_to_a_verified_write(tmp_path: Path) -> None:
     path = stranger(tmp_path / "mine.yaml")
     command = ["simulate", "--config", str(path), "--minutes", "45", "--enable", "--json", "-"]
-    done = CliRunner().invoke(main, [*command, "--directory", str(tmp_path / "folder")])
+    for speed in (bearable(60.0), 15.0):  # what else runs may begin after the pace was measured
+        options = ["--speed", f"{speed:.1f}", "--directory", str(tmp_path / "folder")]
+        done = CliRunner().invoke(main, [*command, *options])
+        if done.exit_code == 0 or "this computer is too slow" not in done.output:
+            break
+        shutil.rmtree(tmp_path / "folder")
     assert done.exit_code == 0, done.output
     assert "sensor 4: Portal left is the simulated machine's Column" in done.output
     for words in ("logger: `tail -n +1 -F", "broker: a broker of this computer", "files: files in"):
