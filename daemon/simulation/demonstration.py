@@ -77,7 +77,7 @@ def settle(running: RunningSimulation) -> tuple[dict[str, Any], dict[str, Any]]:
 def result(final: dict[str, Any], status: dict[str, Any], slow: str = "") -> tuple[dict[str, Any], list[str]]:
     """Return the demonstration's numbers and every check of its own that failed.
 
-    `slow` says that the computer is too slow; it comes first when cycles are incomplete that no fault explains, or missing.
+    `slow` says that the computer is too slow; it comes first where cycles are incomplete without a fault, or missing.
     """
     errors = {}
     untouched = {"uncompensated_max_um": 0.0, "compensated_max_um": 0.0}
