@@ -54,7 +54,6 @@ class TruthWatch:
     _guard_time: float | None = None
     _runs: int = 0
     _ways: dict[str, _Way] = field(default_factory=dict)
-    _past: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
     NAME = "within_1_um_of_the_twin"
 
