@@ -15,10 +15,11 @@ JUDGED_FROM_UM = 5.0
 """An axis whose uncompensated error stays below this is not judged [um]."""
 DRAIN_S = 3.0
 """Wall time that the daemon gets for the last cycles."""
-LEFT_OUT_SHARE = 0.01
+DIFFERING_SHARE = 0.01
 SEEN_KEPT = 720
-"""Share of the cycles of `temperatures.sources` that may be left out where the clock is fast: two that a busy computer
-brings within half a cycle period make one. The bytes of a line wait, so every cycle of it must arrive."""
+"""Share of the cycles of `temperatures.sources` by which their number may differ where the clock is fast: two that a busy
+computer brings within half a cycle period make one, and one whose parts it brings too far apart makes two. The bytes of
+a line wait, so every cycle of it must arrive, once."""
 
 
 def too_slow(late_s: float, speed: float, cycle_period_s: float) -> str:
@@ -105,17 +106,17 @@ def result(final: dict[str, Any], status: dict[str, Any], slow: str = "") -> tup
         "error_um": errors,
     }
     missing = numbers["cycles"]["expected"] - numbers["cycles"]["received"]
-    lost = [] if 0 <= missing <= may_be_left_out(final) else [_not_arrived(numbers["cycles"])]
+    lost = [] if -may_differ(final) <= missing <= may_differ(final) else [_not_arrived(numbers["cycles"])]
     failures = lost + _failures(numbers, status, final)
     incomplete = numbers["cycles"]["incomplete"] and not sum(final["cycles_disturbed"].values())
     return numbers, [slow, *failures] if slow and (incomplete or lost) else failures
 
 
-def may_be_left_out(final: dict[str, Any]) -> int:
-    """Return how many of a fast simulation's cycles may be left out: those of sources, rounded up."""
+def may_differ(final: dict[str, Any]) -> int:
+    """Return by how many cycles a fast simulation's account may differ: a share of those of sources, rounded up."""
     lines = final["cycles_disturbed"]
     of_sources: int = sum(sent for name, sent in final["cycles_sent"].items() if name not in lines)
-    return math.ceil(LEFT_OUT_SHARE * of_sources)
+    return math.ceil(DIFFERING_SHARE * of_sources)
 
 
 def _not_arrived(cycles: dict[str, int]) -> str:
