@@ -15,11 +15,11 @@ JUDGED_FROM_UM = 5.0
 """An axis whose uncompensated error stays below this is not judged [um]."""
 DRAIN_S = 3.0
 """Wall time that the daemon gets for the last cycles."""
-DIFFERING_SHARE = 0.01
 SEEN_KEPT = 720
-"""Share of the cycles of `temperatures.sources` by which their number may differ where the clock is fast: two that a busy
-computer brings within half a cycle period make one, and one whose parts it brings too far apart makes two. The bytes of
-a line wait, so every cycle of it must arrive, once."""
+DIFFERING_SHARE = 0.01
+"""Share of the cycles of `temperatures.sources` by which their number may differ where the clock is fast: two that a
+busy computer brings within half a cycle period make one, and one whose parts it brings too far apart makes two. The
+bytes of a line wait, so every cycle of it must arrive, once."""
 
 
 def too_slow(late_s: float, speed: float, cycle_period_s: float) -> str:
