@@ -14,10 +14,11 @@ LARGEST_FILE = 64 * 2**20
 def read_whole(path: Path, most: int = LARGEST_FILE) -> bytes:
     """Return what a file holds; raises OSError, also for a larger one, and for a pipe or a device without an end."""
     with open(path, "rb", opener=without_waiting) as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        found = os.fstat(file.fileno())
+        if not stat.S_ISREG(found.st_mode):
             raise OSError(errno.EINVAL, "it is a pipe or a device, no file", str(path))
-        content = file.read(most + 1)
-    if len(content) > most:
+        content = b"" if found.st_size > most else file.read(most + 1)
+    if max(found.st_size, len(content)) > most:
         raise OSError(errno.EFBIG, f"it is longer than {most} byte, more than any such file", str(path))
     return content
 

@@ -7,12 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
+from config.files import read_whole
 from drivers.contract import FatalDriverError
 from drivers.files.table import columns, number
 from models.records import FloatArray
 
 COLUMNS = ("time_s", "acceleration_m_s2")
 FEWEST_SAMPLES = 16
+LARGEST_RECORDING = 2**30
+"""Three hours of 24 bit at 25.6 kHz are less [byte]."""
 PCM, FLOAT, EXTENSIBLE = 1, 3, 0xFFFE
 MOST_AT_FULL_SCALE = 3
 """More samples at the ends of the number range than this are a clipped recording."""
@@ -36,7 +39,7 @@ class AccelerationRecording:
 def read_acceleration(path: Path, full_scale_m_s2: float | None = None) -> AccelerationRecording:
     """Read a recording; `full_scale_m_s2` is what a WAV's full scale means. Raises `AccelerometerFileError`."""
     try:
-        content = path.read_bytes()
+        content = read_whole(path, LARGEST_RECORDING)
     except OSError as error:
         raise AccelerometerFileError(f"{path}: cannot be opened ({error.strerror})") from error
     if content[:4] == b"RIFF" and content[8:12] == b"WAVE":

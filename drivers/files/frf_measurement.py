@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from config.files import read_whole
 from drivers.contract import FatalDriverError
 from drivers.files.table import columns, number
 from models.dynamics.measurement import ORDER, Measurement, MeasurementError, Quantity, receptance
@@ -42,7 +43,7 @@ def read_measurements(path: Path) -> list[Measurement]:
 
 def _csv(path: Path) -> Measurement:
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_whole(path).decode("utf-8-sig").splitlines()
     except OSError as error:
         raise MeasurementFileError(f"{path}: cannot be opened ({error.strerror})") from error
     except UnicodeDecodeError as error:

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from config.files import read_whole
 from drivers.contract import FatalDriverError
+from drivers.files.recording_lines import LONGEST_LINE
 from drivers.files.table import DELIMITERS, columns
 
 INDEX_FILE = "impacts.csv"
@@ -40,7 +42,7 @@ def read_index(folder: Path) -> tuple[IndexedImpact, ...]:
     """
     path = folder / INDEX_FILE
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_whole(path).decode("utf-8-sig")
     except OSError as error:
         raise ImpactIndexError(
             f"{path}: cannot be opened ({error.strerror}); a campaign's folder holds {INDEX_FILE} with the columns "
@@ -94,11 +96,11 @@ def parse_time(text: str) -> float:
 def first_time(path: Path, column: str) -> float:
     """Return the time of the first row of a recording in the unit of its column; raises ImpactIndexError."""
     with path.open(encoding="utf-8-sig", newline="") as file:
-        header, row = next(file, ""), next(file, "")
+        header, row = file.readline(LONGEST_LINE), file.readline(LONGEST_LINE)
     delimiter = max(DELIMITERS, key=header.count)
-    names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter), [])]
-    fields = next(csv.reader([row], delimiter=delimiter), [])
     try:
+        names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter), [])]
+        fields = next(csv.reader([row], delimiter=delimiter), [])
         return parse_time(fields[names.index(column)].strip().replace(",", "."))
-    except (ValueError, IndexError):
+    except (ValueError, IndexError, csv.Error):
         raise ImpactIndexError(f"{path}:2: column {column}: holds no time") from None

@@ -10,6 +10,8 @@ from drivers.contract import FatalDriverError
 DELIMITERS = (",", ";", "\t")
 MAX_FIELDS = 4096
 """A recording has hundreds of columns; more means that the file is something else."""
+LONGEST_LINE = 2**20
+"""A line of a recording is shorter [characters]; what has no end of a line is something else."""
 METADATA_MARK = "#"
 SEPARATOR_LINE = "sep="
 """Spreadsheets begin a file with it; it says nothing that the header does not."""
@@ -82,8 +84,10 @@ class opened:
 
     def _lines(self) -> Iterator[str]:
         try:
-            for line in self._file:
+            while line := self._file.readline(LONGEST_LINE + 1):
                 self._place.line += 1
+                if len(line) > LONGEST_LINE:
+                    raise self._place.refuse(f"is longer than {LONGEST_LINE} characters; this is not a recording")
                 if "\0" in line:
                     raise self._place.refuse("holds a NUL byte; the file is damaged or not text")
                 yield line

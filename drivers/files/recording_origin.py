@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from config.recordings.recording_map import RecordingMap, resolve_columns, usual_map
-from drivers.files.recording_lines import METADATA_MARK, read_beginning
+from drivers.files.recording_lines import LONGEST_LINE, METADATA_MARK, read_beginning
 from drivers.files.recording_time import time_reader
 
 DAY_S = 86400.0
@@ -42,7 +42,7 @@ def read_origin(path: Path, recording_map: RecordingMap | None = None) -> Origin
 def machine_of(path: Path, encoding: str = "utf-8") -> str:
     """Return the machine that a recording names, '' where it names none; raises OSError."""
     with path.open(encoding="utf-8-sig" if encoding == "utf-8" else encoding) as file:
-        for line in file:
+        while line := file.readline(LONGEST_LINE):
             key, _, value = line.removeprefix(METADATA_MARK).partition(":")
             if not line.startswith(METADATA_MARK):
                 return ""

@@ -3,8 +3,10 @@
 import csv
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
+from drivers.files.recording_lines import LONGEST_LINE
 from drivers.files.table import columns, number
 from models.errors import StabilityError
 
@@ -14,8 +16,9 @@ def csv_rows(path: Path, what: str) -> Iterator["csv.DictReader[str]"]:
     """Open a file whose header names its columns; raises StabilityError when it cannot be read as text."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            names, delimiter = columns(next(file, ""))
-            yield csv.DictReader(file, names, delimiter=delimiter)
+            lines = iter(partial(file.readline, LONGEST_LINE), "")
+            names, delimiter = columns(next(lines, ""))
+            yield csv.DictReader(lines, names, delimiter=delimiter)
     except OSError as error:
         raise StabilityError(f"{path}: cannot be opened ({error.strerror})") from error
     except csv.Error as error:
