@@ -77,6 +77,15 @@ def test_a_cycle_that_goes_against_the_others_is_no_sensor_that_was_mounted_the_
     assert "the wrong way round" not in advice(found)
 
 
+def test_of_a_channel_that_is_noise_an_evaluation_asks_for_one_thing(tmp_path: Path) -> None:
+    """Neither its sign nor its wiring is wrong, and more runs of the kind bring nothing."""
+    paths = [run(tmp_path, number, weights=WEIGHTS * [1.0, 0.0]) for number in range(4, 8)]
+    found = evaluated(*paths, "--leave-out-runs")
+    assert found["channels"]["c2"]["reduction_rmse"] < 0.0
+    said = [sentence for sentence in found["advice"] if "channel c2" in sentence]
+    assert len(said) == 1 and "no more than its noise" in said[0]
+
+
 def evaluated(*arguments: object, model: str = "ridge") -> dict[str, Any]:
     result = CliRunner().invoke(main, ["thermal", "evaluate", *map(str, arguments), "--model", model, "--json", "-"])
     assert result.exit_code == 0, result.output

@@ -308,7 +308,9 @@ def _figures(inputs: Inputs, outcomes: Sequence[_Outcome], record_next: Sequence
     said = [f"{one}; as a test it counts in these figures" if one.startswith(tested) else one for one in turned]
     said += record_next
     said += [*reversed_sentences(inputs.channels, _to_be_judged(inputs, outcomes), said)]
-    said += harm_sentences(channels, by_test)
+    of_channel = {f"channel {name} ": (name, figures) for name, figures in channels.items()}
+    unsaid = dict(one for begin, one in of_channel.items() if not any(sentence.startswith(begin) for sentence in said))
+    said += harm_sentences(unsaid, by_test)
     said += [*on_line_sentences(tests, {o.name: o.beyond for o in outcomes}), *position_sentences(tests)]
     excluded = [one["sensor"] for test in tests for one in test["excluded"]]
     return {
