@@ -3,7 +3,6 @@
 import signal
 import sys
 import tempfile
-import threading
 from contextlib import nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
@@ -114,6 +113,7 @@ def store(config_path: Path, status: bool, late_s: float, json_path: str | None)
     """
     from config.loader import load_yaml_model
     from config.schema.plant_store import PlantStoreConfig
+    from daemon.ending import set_by_signals
     from daemon.sinks.plant_store import PlantStore
     from daemon.telemetry.logs import configure_logging
     from daemon.telemetry.sd_notify import ServiceManager
@@ -125,9 +125,7 @@ def store(config_path: Path, status: bool, late_s: float, json_path: str | None)
     if json_path is not None:
         raise click.UsageError("--json belongs to --status")
     configure_logging("info")
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    stop = set_by_signals(signal.SIGTERM, signal.SIGINT)
     manager = ServiceManager()
     manager.ready("storing")
     PlantStore(config, stop, manager.watchdog).run()

@@ -1,7 +1,6 @@
 """`toolpoint sink`: send the history to other systems, and say how far each of them is."""
 
 import signal
-import threading
 import time
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,6 +11,7 @@ import click
 from config.schema import Configuration
 from daemon.cli.common import Group, config_option, read_configuration, refuse, write_json
 from daemon.cli.options import json_option
+from daemon.ending import set_by_signals
 from daemon.history.database import HistoryError
 from daemon.sinks.running import run_sinks, sink_status
 from daemon.telemetry.logs import configure_logging
@@ -34,9 +34,7 @@ def run(config_path: Path) -> None:
     """
     configuration = _with_sinks(config_path)
     configure_logging(configuration.service.log_level)
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    stop = set_by_signals(signal.SIGTERM, signal.SIGINT)
     ServiceManager().ready("sending")
     try:
         run_sinks(configuration, stop)

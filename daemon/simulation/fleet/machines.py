@@ -7,7 +7,6 @@ compensated better than others.
 
 import itertools
 import signal
-import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -21,6 +20,7 @@ import numpy as np
 from config.loader import load_configuration
 from config.machines import shipped_file
 from config.schema import Configuration
+from daemon.ending import set_by_signals
 from daemon.history import HistoryWriter
 from daemon.history.layout import MachineLayout
 from drivers.sim.machine.body import MachineBody
@@ -327,9 +327,8 @@ def run_machines(plan: FleetPlan, parent: Connection) -> None:
 
     The body of a process of its own.
     """
-    stop = threading.Event()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    stop = set_by_signals(signal.SIGTERM)
     configuration = fleet_configuration()
     machines = [FleetMachine(plan, number, configuration) for number in range(plan.machines)]
     behind_s = 0.0

@@ -9,6 +9,7 @@ from config.schema import Configuration
 from config.schema.plant_store import PlantStoreConfig
 from config.schema.service import HistoryConfig
 from config.schema.sinks import SinkConfig
+from daemon.ending import set_by_signals
 from daemon.simulation.fleet.machines import fleet_configuration
 from daemon.sinks.plant_store import PlantStore
 from daemon.sinks.running import run_sinks
@@ -26,9 +27,8 @@ def with_sink(base: Configuration, machine: Machine, sink: SinkConfig) -> Config
 
 def run_senders(machines: Sequence[Machine], sink: SinkConfig) -> None:
     """Send the histories of some machines until told to stop; body of a process of its own."""
-    stop = threading.Event()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    stop = set_by_signals(signal.SIGTERM)
     configure_logging("error")
     base = fleet_configuration()
     threads = [
@@ -43,8 +43,7 @@ def run_senders(machines: Sequence[Machine], sink: SinkConfig) -> None:
 
 def run_store(config: PlantStoreConfig) -> None:
     """Store what comes over a broker until told to stop; body of a process of its own."""
-    stop = threading.Event()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    stop = set_by_signals(signal.SIGTERM)
     configure_logging("error")
     PlantStore(config, stop).run()
