@@ -251,7 +251,7 @@ class LinearOnline:
         counted = replace(
             self._reference,
             rest_um=np.array(kept["rest_um"]),
-            shift_degc=np.array(kept["shift_degc"]),
+            shift_degc=np.reshape(kept["shift_degc"], self._reference.shift_degc.shape),
             rest_since_min=self._reference_min + kept["rest_after_min"],
             imputed_um=float(kept.get("imputed_um", 0.0)),
         )

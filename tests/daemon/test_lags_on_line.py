@@ -1,6 +1,7 @@
 """A model with lags in the daemon: states filled from the history, doubted until then, continuous over a restart."""
 
 import asyncio
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 import structlog
 from control_rig import SENSOR_IDS, Bench, HandClock, machine, running
 from thermal_rig import model as increments
+from whole_loop import lagged_model
 
 from config.schema.cnc_drivers import NO_NODE, OpcUaNodesConfig
 from daemon.estimation.task import ThermalTask
@@ -30,6 +32,8 @@ from models.records import (
     ThermalErrorEstimate,
     Trace,
 )
+from models.thermal.estimation import Machine, OnlineReference
+from models.thermal.features import Layout
 from models.thermal.training.train_family import train_family
 
 MINUTES = 18 * 60
@@ -614,3 +618,52 @@ async def test_a_reference_that_was_never_left_is_not_made_anew_from_the_history
     np.testing.assert_allclose(loop.thermal_error_um, twin.thermal_error_um, atol=0.05)
     for shop in shops:
         await shop.end()
+
+
+def speed_alone():
+    lagless = lagged_model("speed alone")
+    layout = Layout(sensors=len(SENSOR_IDS), lags_min=(), speed_lags_min=(30.0,))
+    columns = layout.columns
+    solution = replace(
+        lagless.solutions[0],
+        layout=layout,
+        gain=np.ones(columns),
+        weights=np.ones((columns, 2)),
+        directions=np.eye(columns),
+        remaining=np.linspace(0.02, 1.0, columns),
+    )
+    vector = replace(
+        lagless.test_vectors[0],
+        features=np.ones(columns),
+        reference=np.zeros(columns),
+        thermal_error_um=np.full(2, float(columns)),
+    )
+    return replace(lagless, layout=layout, solutions=(solution,), centre=np.zeros(columns), test_vectors=(vector,))
+
+
+def test_a_model_with_lags_of_speed_alone_takes_up_again_what_a_sensor_that_returned_counts_from():
+    """What lags were shifted by is nothing there, and was of another shape in the store: the restart met a defect."""
+    made = speed_alone()
+    degc = day(minutes=90, seed=7)[0]
+    away = degc[:90].copy()
+    away[30:75, 1] = np.nan
+
+    def begun(minutes):
+        online = made.runtime(Machine(components={}))
+        online.rebuild((float(minute), away[minute], 0.0) for minute in range(minutes))
+        return online
+
+    online, absent = begun(40), np.zeros(len(SENSOR_IDS), dtype=bool)
+    online.set_reference(OnlineReference(time_min=39.0, now_min=39.0, degc=away[39]))
+    for minute in range(40, 80):
+        online.on_sample(float(minute), away[minute], 0.0)
+        found, _ = online.estimate(float(minute), away[minute], absent)
+        absent = np.isin(SENSOR_IDS, found.imputed)
+    kept = json.loads(json.dumps(online.kept))
+    again, past = begun(80), ((float(minute), away[minute], 0.0) for minute in range(40))
+    again.set_reference(
+        OnlineReference(time_min=39.0, now_min=79.0, degc=away[39], history=past, excluded={}, kept=kept)
+    )
+    resumed, _ = again.estimate(79.0, away[79], absent)
+    assert kept["reference_degc"] and resumed.imputed == found.imputed
+    np.testing.assert_allclose(resumed.thermal_error_um, found.thermal_error_um, atol=0.1)
