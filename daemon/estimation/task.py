@@ -80,14 +80,13 @@ class ThermalTask:
     ) -> None:
         temperatures = configuration.temperatures
         self._clock, self._history, self._telemetry = clock, history, telemetry
-        self._deliver, self._on_change = deliver, on_change
+        self._deliver, self._on_change, self.inbox = deliver, on_change, inbox
         shown = (configuration.cnc.temperature_macro, configuration.spindle_speed)
         self._temperature_is_shown = any(each is not None for each in shown)
         self._labels = {label: np.array(indices) for label, indices in temperatures.labels.items()}
         self._sensor_ids = temperatures.sensor_ids
         self._cleansing = Cleansing(configuration, clock)
         self._reference: Reference | None = None
-        self.inbox = inbox
         self.latest_estimate: ThermalErrorEstimate | None = None
         self.cycles_received = self.cycles_incomplete = self.estimates = 0
         self.line_faults: dict[str, tuple[str, ...]] = {}
@@ -112,11 +111,6 @@ class ThermalTask:
     def latest(self) -> MachineTemperatures | None:
         """Temperatures after the latest cycle of any line."""
         return self._cleansing.latest
-
-    @property
-    def usable(self) -> int:
-        """How many sensors have a value that may be used."""
-        return 0 if self.latest is None else int(np.isfinite(self.latest.degc).sum())
 
     async def run(self) -> None:
         """Serve the inbox for ever."""

@@ -25,6 +25,8 @@ class RequestKind(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RequestMacros:
+    """Numbers of the macros of a request."""
+
     counter: int
     kind: int
     axis: int

@@ -12,6 +12,8 @@ from models.records import CncSample, FloatArray, Reference
 
 
 class ReferenceState(StrEnum):
+    """Where the reference stands."""
+
     NONE = "none"
     """Nothing is in force, nothing is asked for, and nothing counts from an earlier one."""
     REQUESTED = "requested"
@@ -157,6 +159,7 @@ class ReferenceRecord:
 
     @property
     def reference_id(self) -> str:
+        """Its identity."""
         return self.reference.reference_id
 
 
@@ -192,6 +195,8 @@ class ReferenceDocument:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceMemory:
+    """The memory from event to event."""
+
     state: ReferenceState = ReferenceState.NONE
     record: ReferenceRecord | None = None
     """The reference in force or, when it has ended, the one that tool settings still count from."""
@@ -217,6 +222,7 @@ class ReferenceMemory:
 
     @property
     def in_force(self) -> Reference | None:
+        """The reference in force."""
         valid = self.state is ReferenceState.VALID and self.record is not None
         return self.record.reference if valid and self.record is not None else None
 

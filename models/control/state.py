@@ -171,6 +171,8 @@ class OutputInputs:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OutputMemory:
+    """Memory of the output from step to step."""
+
     state: OutputState
     since_s: float
     reason: str

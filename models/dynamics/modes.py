@@ -30,6 +30,8 @@ MOST_SHAPE_POINTS = 400
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mode:
+    """An undamped mode."""
+
     frequency_hz: float
     position_m: FloatArray
     """Points from the front of the chain [m], shape (n,)."""

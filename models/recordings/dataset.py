@@ -68,6 +68,7 @@ class Recording:
 
     @property
     def rows(self) -> int:
+        """Number of rows."""
         return len(self.time_s)
 
     @property

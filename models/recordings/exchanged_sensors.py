@@ -86,6 +86,7 @@ def _among(parts: Sequence[Part], sensors: Sequence[int], found: Sequence[Exchan
 
 
 def _having(parts: Sequence[Part], found: Exchange) -> list[bool]:
+    """Return which parts have an exchange."""
     return [part.recording == found.first or (part.recording > found.first and not found.alone) for part in parts]
 
 
@@ -148,6 +149,7 @@ class _Side:
 
     @classmethod
     def of(cls, squares: Sequence[FloatArray], rows: Sequence[int], chosen: Sequence[bool]) -> "_Side":
+        """Return the recordings that are chosen as one."""
         square: FloatArray = np.sum([one for one, wanted in zip(squares, chosen, strict=True) if wanted], axis=0)
         count = sum(one for one, wanted in zip(rows, chosen, strict=True) if wanted)
         precision = np.asarray(np.linalg.inv(square + count * PENALTY_K**2 * np.eye(len(square))), dtype=np.float64)

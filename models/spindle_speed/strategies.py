@@ -45,6 +45,7 @@ class ProgrammedSpeed:
         self._operation = operation
 
     def renew(self, now_s: float, phase: Phase, known: EstimatedToolPoint | None) -> SpeedInForce:
+        """Return the programmed pair."""
         return pair_at(self._operation, self._operation.demand.programmed_rpm, "programmed")
 
 

@@ -111,6 +111,8 @@ class SpeedTuningInputs:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpeedTuningMemory:
+    """Memory of the tuning from step to step."""
+
     programmed_rpm: float
     """Of the operation that is under way [1/min]; another value begins another operation."""
     commanded_rpm: float

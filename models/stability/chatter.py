@@ -62,6 +62,8 @@ MAINS_RATIO = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameVerdict:
+    """What one window says."""
+
     time_s: float
     """Middle of the window [s]."""
     chatter: bool

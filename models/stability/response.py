@@ -123,6 +123,7 @@ class ModalResponse:
         return (0, 0, self.xx), (0, 1, self.xy), (1, 0, self.yx), (1, 1, self.yy)
 
     def modes(self) -> tuple[Mode, ...]:
+        """Return every mode."""
         return (*self.xx, *self.yy, *self.xy, *self.yx)
 
     def receptance_m_per_n(self, frequency_hz: FloatArray) -> ComplexArray:

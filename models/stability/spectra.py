@@ -22,6 +22,8 @@ REACH_LINES, REACH_SHARE = 2.0, 0.0015
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpectrumFrame:
+    """The spectrum of one window."""
+
     time_s: float
     """Middle of the window [s]."""
     frequency_hz: FloatArray

@@ -81,7 +81,8 @@ class ThermalModel(Protocol):
     def test_vectors(self) -> tuple[Any, ...]:
         """Inputs and outputs of the fit, which were checked when it was made."""
 
-    def runtime(self, machine: Machine) -> OnlineModel: ...
+    def runtime(self, machine: Machine) -> OnlineModel:
+        """Return the model in use on a machine."""
 
     def recorded_um(
         self, time_min: FloatArray, degc: FloatArray, speed_rpm: FloatArray | None, first: int

@@ -201,6 +201,7 @@ class GaussianModel(LinearModel):
         return found if features.ndim > 1 else found[0]
 
     def runtime(self, machine: Machine) -> LinearOnline:
+        """Return the model in use on a machine."""
         return LinearOnline(self, machine, GaussianEstimator)
 
     def to_json(self) -> str:

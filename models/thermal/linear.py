@@ -318,6 +318,7 @@ class LinearModel(LinearParameters):
         return self.period_min * 60.0 if self.layout.lags_min or self.layout.speed_lags_min else None
 
     def runtime(self, machine: Machine) -> LinearOnline:
+        """Return the model in use on a machine."""
         return LinearOnline(self, machine)
 
     def recorded_um(

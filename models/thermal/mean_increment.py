@@ -20,6 +20,7 @@ class Fading:
     """When it was that much [min]."""
 
     def at(self, time_min: float) -> FloatArray:
+        """Return what is left of it."""
         if not self.amount.any():
             return self.amount
         left: FloatArray = self.amount * np.exp(-max(time_min - self.since_min, 0.0) / FADE_MIN)

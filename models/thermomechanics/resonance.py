@@ -52,6 +52,8 @@ class Peak:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Resonance:
+    """The resonance that is followed."""
+
     frequency_hz: float
     magnitude_m_per_n: float
     continuous: bool

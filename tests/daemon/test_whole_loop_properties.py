@@ -106,7 +106,8 @@ class Shop(RuleBasedStateMachine):
         tool_set = memory.tools is not before.tools  # what is applied, rounded by the control, is the command then
         if memory.state in STILL and before.state in STILL and not (adopted or tool_set or before.settling):
             assert np.allclose(now[resting], before.command_um[resting], atol=NOISE_UM), "frozen"
-        stale = self.loop.thermal.latest_estimate is None or self.loop.thermal.usable == 0
+        latest = self.loop.thermal.latest
+        stale = self.loop.thermal.latest_estimate is None or latest is None or latest.usable == 0
         if stale and memory.state is OutputState.ACTIVE:
             cycle = self.loop.rig.control._estimate
             assert cycle is not None, "nothing is followed without an estimate"

@@ -86,6 +86,8 @@ def test_no_constructor_takes_more_than_a_few_parameters() -> None:
 def public_definitions(path: Path) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef]:
     for node in tree(path).body:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            if any(isinstance(each, ast.Name) and each.id == "overload" for each in node.decorator_list):
+                continue  # a type of the function that follows
             yield node
             if isinstance(node, ast.ClassDef):
                 for member in node.body:

@@ -64,6 +64,7 @@ class _Kernels:
     """Index of what is on the diagonal."""
 
     def lower(self) -> "_Kernels":
+        """Return the lower triangles."""
         below = np.tri(len(self.apart), dtype=np.bool_)
         return _Kernels(
             linear=np.stack([each[below] for each in self.linear]),

@@ -133,6 +133,7 @@ def _require_one_period(inputs: Inputs) -> None:
 
 
 def _factor(inputs: Inputs, rows: BoolArray, choices: IncrementChoices, interval_min: float) -> Factor:
+    """Return the factor of the increments of some rows."""
     stretches = [(inputs.degc[part], inputs.cleansed_um[part]) for part in _stretches(inputs, rows, choices)]
     return factorise(increments(stretches, interval_min, 60.0 * inputs.period_min))
 

@@ -65,6 +65,7 @@ class Inputs:
 
     @property
     def rows(self) -> int:
+        """Number of rows."""
         return len(self.time_min)
 
     @property

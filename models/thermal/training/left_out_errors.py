@@ -107,6 +107,7 @@ def together(parts: Sequence[LeftOutErrors]) -> LeftOutErrors:
 
 
 def only(errors: LeftOutErrors, fold: int) -> LeftOutErrors:
+    """Return the stretches of one fold."""
     places = np.flatnonzero(errors.folds == fold)
     return replace(
         errors,

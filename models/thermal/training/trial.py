@@ -37,6 +37,8 @@ class Fault:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultOutcome:
+    """What a fault did."""
+
     sensor: str
     kind: str
     found_after_min: float | None

@@ -30,6 +30,7 @@ class Part:
     """Of its sensors; sensors with a label of their own have a place of their own. Empty: none."""
 
     def __str__(self) -> str:
+        """Return it in words."""
         words = self.component if self.part in ("", "-") else f"{self.component}, {self.part}"
         return f"{words} ({self.label})" if self.label else words
 
