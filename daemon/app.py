@@ -325,7 +325,7 @@ class Daemon:
         self._telemetry.report(now.real_s)
         self._telemetry.links((health.name, health.up) for health in self._links.shown)
         if self.thermal.latest is not None:
-            self._telemetry.sensors_usable(self.thermal.latest.usable)
+            self._telemetry.sensors_usable(self.thermal.latest.degc)
         self._publish_output()
         self._publish_links()
         self.snapshots.jobs = job_snapshots(self._history, self._jobs)

@@ -94,11 +94,6 @@ class MachineTemperatures:
     doubted: Mapping[int, str] = field(default_factory=dict)
     """Why a sensor at this place is not believed."""
 
-    @property
-    def usable(self) -> int:
-        """How many sensors have a value that may be used."""
-        return int(np.isfinite(self.degc).sum())
-
     def __post_init__(self) -> None:
         _lock(self.measured_degc, self.degc, self.quality, self.reason, self.age_s)
 

@@ -23,22 +23,10 @@ CONFIGURATION_VARIABLE = "TOOLPOINT_CONFIG"
 FAILED = 1
 BAD_USAGE = 2
 """Exit status for bad usage or configuration."""
-LONGEST_SENTENCE = 1000
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 FILE = click.Path(path_type=Path)
-
-
-class Group(click.Group):
-    """Commands that are listed with the whole first sentence of each: cut off after 45 letters it says little."""
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the list of commands."""
-        named = ((name, self.get_command(ctx, name)) for name in self.list_commands(ctx))
-        rows = [(name, each.get_short_help_str(LONGEST_SENTENCE)) for name, each in named if each and not each.hidden]
-        with formatter.section("Commands"):
-            formatter.write_dl(rows)
 
 
 def option(*names: str, **settings: Any) -> Callable[[Command], Command]:

@@ -241,8 +241,3 @@ class SpeedWorker:
             )
             self._readings.clear()
             self._task = asyncio.create_task(self._planner.plan(request))
-
-    async def settled(self) -> None:
-        """Wait for what is being computed."""
-        if self._task is not None:
-            await asyncio.wait([self._task])

@@ -3,6 +3,7 @@
 import ctypes
 from collections.abc import Iterable, Mapping
 
+import numpy as np
 import structlog
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
@@ -251,8 +252,8 @@ class Telemetry:
                 gauge = self._link_gauges[name] = self._link.labels(name)
             gauge.set(1.0 if is_up else 0.0)
 
-    def sensors_usable(self, count: int) -> None:
-        self._sensors.set(count)
+    def sensors_usable(self, degc: FloatArray) -> None:
+        self._sensors.set(np.isfinite(degc).sum())
 
     def acknowledged(self, line: str, number: int) -> None:
         self._acknowledged.labels(line).set(number)

@@ -4,7 +4,6 @@ Temperatures -> bearing properties (5-1) -> receptance through the condensed cha
 4-38) -> the resonance, followed by mode continuity (Figs 5-18, 5-19, 5-26).
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -45,11 +44,6 @@ class RangeEnds:
     """None: the mode is lost on the way there (it vanishes, or melts into another)."""
     at_highest_hz: float | None
 
-    def largest_move_hz(self, resonance_hz: float) -> float:
-        """Return how far the resonance may be off [Hz]; inf where an end loses the mode."""
-        ends = (self.at_lowest_hz, self.at_highest_hz)
-        return max(math.inf if end is None else abs(end - resonance_hz) for end in ends)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AxisDynamics:
@@ -77,11 +71,6 @@ class AxisDynamics:
     def confidence(self) -> float:
         """0 to 1: the lowest of the properties'."""
         return min(each.confidence for each in self.properties)
-
-    @property
-    def largest_move_hz(self) -> float:
-        """How far the resonance may be off because of flagged properties [Hz]; 0 without any, inf when lost."""
-        return max((each.largest_move_hz(self.resonance_hz) for each in self.range_ends), default=0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -107,7 +107,7 @@ class Shop(RuleBasedStateMachine):
         if memory.state in STILL and before.state in STILL and not (adopted or tool_set or before.settling):
             assert np.allclose(now[resting], before.command_um[resting], atol=NOISE_UM), "frozen"
         latest = self.loop.thermal.latest
-        stale = self.loop.thermal.latest_estimate is None or latest is None or latest.usable == 0
+        stale = self.loop.thermal.latest_estimate is None or latest is None or np.isnan(latest.degc).all()
         if stale and memory.state is OutputState.ACTIVE:
             cycle = self.loop.rig.control._estimate
             assert cycle is not None, "nothing is followed without an estimate"

@@ -73,7 +73,8 @@ class SpeedRig:
                 self.rig.control.deliver(self.cycle())
             await self.rig.turn(after_s=1.0, safe=False)
             await self.rig.serve()
-            await self.speed.follower.worker.settled()
+            if (planning := self.speed.follower.worker._task) is not None:
+                await asyncio.wait([planning])
             if self.nc.reachable:
                 await self.rig.connected()
 

@@ -11,7 +11,8 @@ import click
 import yaml
 
 from config.schema.base import ENDPOINT_PATTERN
-from daemon.cli.common import FILE, Group, config_option, option, read_configuration, refuse, say, write_json
+from daemon.cli.command_group import Group
+from daemon.cli.common import FILE, config_option, option, read_configuration, refuse, say, write_json
 from daemon.cli.options import FiniteFloat, json_option
 from models.json_values import printable
 

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import click
 
-from daemon.cli.common import Group, config_option, read_configuration, say, write_json
+from daemon.cli.command_group import Group
+from daemon.cli.common import config_option, read_configuration, say, write_json
 from daemon.cli.options import json_option
 
 FAILED = 1

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daemon.cli.common import Group, config_option, option, read_configuration, refuse, say, write_json
+from daemon.cli.command_group import Group
+from daemon.cli.common import config_option, option, read_configuration, refuse, say, write_json
 from daemon.cli.operate.history_view import duration
 from daemon.cli.options import NOT_A_FOLDER, POSITIVE, json_option
 

@@ -12,7 +12,8 @@ import click
 from config.schema import Configuration
 from config.schema.source_drivers import SourceEntry
 from daemon.cli.admin.scanning import scan
-from daemon.cli.common import Group, config_option, option, read_configuration, refuse, say, write_json
+from daemon.cli.command_group import Group
+from daemon.cli.common import config_option, option, read_configuration, refuse, say, write_json
 from daemon.cli.options import json_option
 from drivers import registry
 from drivers.clock import SystemClock

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, TextIO
 
 import click
 
-from daemon.cli.common import FILE, Group, config_option, option, read_configuration, refuse, say, write_json
+from daemon.cli.command_group import Group
+from daemon.cli.common import FILE, config_option, option, read_configuration, refuse, say, write_json
 from daemon.cli.options import json_option
 
 if TYPE_CHECKING:

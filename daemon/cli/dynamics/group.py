@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from daemon.cli.common import FILE, Group, option, refuse, say, show_warnings, write_json
+from daemon.cli.command_group import Group
+from daemon.cli.common import FILE, option, refuse, say, show_warnings, write_json
 from daemon.cli.dynamics.bearings import bearings
 from daemon.cli.dynamics.campaign import campaign, simulate_campaign, track
 from daemon.cli.dynamics.identify import contact, from_option, identify, to_option

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daemon.cli.common import FILE, Group, option, refuse, say, write_json
+from daemon.cli.command_group import Group
+from daemon.cli.common import FILE, option, refuse, say, write_json
 from daemon.cli.options import EXISTING_FILE, POSITIVE, ProgressBar, destination, directory_option, json_option
 
 if TYPE_CHECKING:

@@ -6,7 +6,8 @@ from typing import Any
 import click
 
 from config.schema.sinks import SinkConfig
-from daemon.cli.common import Group, config_option, option, read_configuration, refuse, write_json
+from daemon.cli.command_group import Group
+from daemon.cli.common import config_option, option, read_configuration, refuse, write_json
 from daemon.cli.options import json_option
 
 

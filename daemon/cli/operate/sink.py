@@ -9,7 +9,8 @@ from typing import Any
 import click
 
 from config.schema import Configuration
-from daemon.cli.common import Group, config_option, read_configuration, refuse, write_json
+from daemon.cli.command_group import Group
+from daemon.cli.common import config_option, read_configuration, refuse, write_json
 from daemon.cli.options import json_option
 from daemon.ending import set_by_signals
 from daemon.history.database import HistoryError

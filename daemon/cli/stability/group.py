@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daemon.cli.common import FILE, Group, option, refuse, say, write_json
+from daemon.cli.command_group import Group
+from daemon.cli.common import FILE, option, refuse, say, write_json
 from daemon.cli.options import LOBES_METHOD, NOT_NEGATIVE, POSITIVE, FiniteFloat, json_option, picture_option
 from daemon.cli.stability.recordings import chatter, roughness
 from daemon.cli.stability.studies import coefficients, compare, modes

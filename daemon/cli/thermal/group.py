@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
+from daemon.cli.command_group import Group
 from daemon.cli.common import (
     CONFIGURATION_VARIABLE,
     DEFAULT_CONFIGURATION,
     FILE,
-    Group,
     option,
     refuse,
     say,
