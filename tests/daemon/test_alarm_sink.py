@@ -271,11 +271,19 @@ async def test_alarms_of_output_model_and_store(tmp_path: Path) -> None:
 
 def test_certificates_that_end_soon_are_named_by_their_key(tmp_path: Path) -> None:
     make_certificate(tmp_path)  # ends in a day
+    (tmp_path / "clients").mkdir()
+    shutil.copy(tmp_path / "monitor.crt", tmp_path / "clients" / "erp.pem")
     (tmp_path / "broken.pem").write_text("-----BEGIN CERTIFICATE-----\nno\n-----END CERTIFICATE-----\n")
     content = yaml.safe_load(sample_configuration())
     content["service"] |= {
         "tls_certificate": str(tmp_path / "monitor.crt"),
         "tls_key": str(tmp_path / "monitor.key"),
+        "users": str(tmp_path / "users.yaml"),
+    }
+    content["opcua_server"] = {
+        "certificate": str(tmp_path / "server.der"),
+        "private_key": str(tmp_path / "server.pem"),
+        "trusted_clients": str(tmp_path / "clients"),
     }
     content["sinks"] = [
         {
@@ -296,15 +304,17 @@ def test_certificates_that_end_soon_are_named_by_their_key(tmp_path: Path) -> No
     assert {key for key, _ in certificates(configuration)} == {
         "service.tls_certificate",
         "sinks[0].mail.ca_certificate",
+        "opcua_server.certificate",
+        "opcua_server.trusted_clients erp.pem",
     }
     found = list(of_computer(configuration, AlarmsConfig(disk_free_percent=1e-9), (), time.time()))
-    assert [each.subject for each in found] == ["service.tls_certificate"]
+    assert [each.subject for each in found] == ["service.tls_certificate", "opcua_server.trusted_clients erp.pem"]
     assert "monitor.crt ends on 20" in found[0].text and found[0].text.endswith("renew it")
     assert (
         list(of_computer(configuration, AlarmsConfig(disk_free_percent=1e-9, certificate_days=0.1), (), time.time()))
         == []
     )
-    (late,) = of_computer(configuration, AlarmsConfig(disk_free_percent=1e-9), (), time.time() + 3 * 86_400)
+    late, _ = of_computer(configuration, AlarmsConfig(disk_free_percent=1e-9), (), time.time() + 3 * 86_400)
     assert "monitor.crt ended on 20" in late.text
 
 

@@ -203,7 +203,13 @@ def propose(config_path: Path, json_path: str | None) -> None:
 
 @model.command()
 @config_option
-@option("--last", "last_s", callback=duration, default="400d", help="How far back from the newest record to look.")
+@option(
+    "--last",
+    "last_s",
+    callback=duration,
+    default="400d",
+    help="How far back from the newest record to look; a model younger than this is judged by its first weeks too.",
+)
 @option("--bound", type=POSITIVE, help="Share of the error that may be left. Without: what loses a fifth of its worth.")
 @json_option
 def drift(config_path: Path, last_s: float, bound: float | None, json_path: str | None) -> None:

@@ -159,7 +159,7 @@ def worn_models(configuration: Configuration, now_utc_s: float) -> Iterator[Cond
 
 
 def certificates(section: BaseModel, at: str = "") -> Iterator[tuple[str, Path]]:
-    """Yield key and file of every certificate that a configuration names."""
+    """Yield key and file of every certificate that a configuration names, or that lies in the folder it names."""
     for name in type(section).model_fields:
         value, key = getattr(section, name), f"{at}{name}"
         if isinstance(value, BaseModel):
@@ -170,6 +170,8 @@ def certificates(section: BaseModel, at: str = "") -> Iterator[tuple[str, Path]]
                     yield from certificates(each, f"{key}[{index}].")
         elif isinstance(value, Path) and name.endswith("certificate"):
             yield key, value
+        elif isinstance(value, Path) and name == "trusted_clients" and value.is_dir():
+            yield from ((f"{key} {each.name}", each) for each in sorted(value.iterdir()))
 
 
 def _ends_utc_s(key: str, path: Path) -> float | None:
