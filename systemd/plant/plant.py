@@ -210,7 +210,7 @@ def fleet(machines: int, minutes: float, speed: float) -> int:
     try:
         return process.wait()
     except SystemExit:
-        process.send_signal(signal.SIGINT)  # Ctrl-C reaches it by itself
+        process.terminate()  # Ctrl-C reaches it by itself
         raise
     finally:
         process.wait(PATIENCE_S)

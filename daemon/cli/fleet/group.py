@@ -188,6 +188,7 @@ def simulate(
     """
     from daemon.simulation.fleet.run import check_route, plan_of, route_of, simulate_fleet
 
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends what it has started, as Ctrl-C does
     if directory is not None:
         directory.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() if directory is None else nullcontext(str(directory)) as folder:
