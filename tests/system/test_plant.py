@@ -235,7 +235,7 @@ def test_the_box_runs_from_debians_packages(tmp_path: Path) -> None:
         assert "running" in log and "Error" not in log
         assert (Path(folder) / "broker/mosquitto.db").exists(), "what waits in the broker outlives it"
         with subprocess.Popen(
-            [sys.executable, "-c", IN_THE_BACKGROUND, *words],
+            [sys.executable, "-c", IN_THE_BACKGROUND, *words, "--hours", "400"],
             env=environment,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
