@@ -18,7 +18,8 @@ class OutputActions:
     """What a person may ask of the output; each takes the person's name and returns a refusal, '' when it is taken."""
 
     request: Callable[[OperatorRequest, str], str]
-    request_reference: Callable[[str], str]
+    request_reference: Callable[[str, Callable[[str], None]], str]
+    """Takes besides what is told later what became of it: '' in force, else why not."""
     switch_spindle_speed: Callable[[bool, str], str]
     record_refusal: Callable[[str, str], None]
     """Takes what was refused and why, and who asked."""

@@ -104,8 +104,6 @@ class ControlSnapshot:
     reference: Reference | None
     reference_ended: str
     """Why there is none, as far as that is known."""
-    reference_by_hand: str | None
-    """What became of the latest reference by hand: '' in force, else why not; None while it is not decided."""
     tools_set: tuple[int, ...]
     """Numbers of the tools with a setting of their own."""
     cnc: CncSnapshot | None

@@ -7,7 +7,7 @@ from daemon.cnc.events import Journal
 from daemon.cnc.interlocks import Interlocks, in_words
 from daemon.cnc.session import CncLink
 from daemon.compensation.parts import Inbox
-from daemon.compensation.references import References, new_id
+from daemon.compensation.references import Decided, References
 from daemon.compensation.restart import StartupRecovery
 from models.control.state import NO_REQUEST, OperatorRequest
 
@@ -35,7 +35,6 @@ class Requests:
         self._inbox = inbox
         self._waiting: list[tuple[OperatorRequest, str]] = []
         self._acted = asyncio.Event()
-        self._reference_by_hand = ""
 
     def __bool__(self) -> bool:
         return bool(self._waiting)
@@ -51,27 +50,19 @@ class Requests:
         self._inbox.wake()
         return ""
 
-    def put_reference(self, person: str) -> str:
-        """Queue a reference by hand; return why it is refused, '' when it is taken."""
+    def put_reference(self, person: str, decided: Decided = lambda _refusal: None) -> str:
+        """Queue a reference by hand; return why it is refused, '' when it is taken, and `decided` hears the rest."""
         if (session := self._link.session) is None or session.echo is None or self._references.sample is None:
             return "no link to the CNC, so program, work offset and power-on count are unknown"
         if refusal := self._references.too_early(session.echo.applied_um):
             self.note_refusal(f"a reference by hand: {refusal}", person)
             return refusal
-        self._reference_by_hand = new_id()
-        ask = partial(self._references.request, self._reference_by_hand, f"hand: {person}", positioning=False)
-        self._inbox.put(ask)
+        self._inbox.put(partial(self._references.request_by_hand, f"hand: {person}", decided))
         return ""
 
     def note_refusal(self, text: str, person: str) -> None:
         """Have it recorded that something was refused to a person."""
         self._inbox.put(partial(self._journal.event, "refused", text, person))
-
-    @property
-    def reference_by_hand(self) -> str | None:
-        """What became of the latest reference by hand: '' in force, else why not; None while it is not decided."""
-        identity, refusal = self._references.memory.outcome
-        return refusal if identity == self._reference_by_hand else None
 
     def take(self) -> OperatorRequest:
         """Return the oldest request, an empty one when there is none; an acknowledgement is carried out at once."""

@@ -38,6 +38,8 @@ KEPT_PERIOD_REAL_S = 10.0
 
 ToThermal = ReferenceRequest | ReferenceEnded | ReferenceTakenUp
 """The messages to the thermal task."""
+Decided = Callable[[str], None]
+"""Takes what became of a reference by hand: '' in force, else why not."""
 
 
 class References:
@@ -69,6 +71,7 @@ class References:
         self._handshake = handshake
         self._kept: ReferenceDocument | None = None
         self._kept_real_s = float("-inf")
+        self._decided: dict[str, Decided] = {}
         self.left = self._store.get(ReferenceDocument)
         """What the previous run left."""
         self.tool_seen: ToolSeen | None = None
@@ -132,6 +135,11 @@ class References:
     def request(self, identity: str, source: str, *, positioning: bool, handshake: bool = False) -> None:
         """Ask the thermal task for a reference now."""
         self._step(reference.request(self.memory, identity, source, positioning=positioning, handshake=handshake))
+
+    def request_by_hand(self, source: str, decided: Decided) -> None:
+        """Ask for a reference that a person wants; `decided` is told once what became of this one."""
+        self._decided[identity := new_id()] = decided
+        self.request(identity, source, positioning=False)
 
     def handshake_positioned(self) -> None:
         """The handshake reports a positioning."""
@@ -247,6 +255,9 @@ class References:
 
     def _step(self, step: reference.Step) -> None:
         self.memory, effects = step
+        identity, refusal = self.memory.outcome
+        if decided := self._decided.pop(identity, None):
+            decided(refusal)
         for effect in effects:
             self._carry_out(effect)
 

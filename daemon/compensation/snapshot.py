@@ -45,7 +45,6 @@ def control_snapshot(control: "ControlTask") -> ControlSnapshot:
         slew_um_per_min=limits.slew_um_per_min,
         reference=control.reference,
         reference_ended=control.reference_ended,
-        reference_by_hand=control.requests.reference_by_hand,
         tools_set=tuple(sorted(memory.tools)) if memory is not None else (),
         cnc=_cnc(control.session),
         writes=WriteCounts(**control.writer.counts),
@@ -68,7 +67,7 @@ def output_actions(control: "ControlTask", switch_spindle_speed: Callable[[bool,
     """Return what a person may ask of the output."""
     return OutputActions(
         request=control.request,
-        request_reference=control.request_reference,
+        request_reference=control.requests.put_reference,
         switch_spindle_speed=switch_spindle_speed,
         record_refusal=control.requests.note_refusal,
         carried_out=control.requests.carried_out,

@@ -88,10 +88,6 @@ class ControlTask:
         """Queue what a person asks for; return why it is refused, '' when it is taken."""
         return self.requests.put(request, person)
 
-    def request_reference(self, person: str) -> str:
-        """Queue a reference by hand; return why it is refused, '' when it is taken."""
-        return self.requests.put_reference(person)
-
     def stop(self) -> None:
         """End `run` between two pieces of work, so that no block stays half written."""
         self._stopping = True

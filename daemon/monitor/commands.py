@@ -49,23 +49,26 @@ class CommandDesk:
             case "acknowledge":
                 self._submit(OperatorRequest(acknowledge=True), person)
             case "reference":
-                if refusal := self._actions.request_reference(person):
-                    raise self._refusal("reference", refusal, person)
-                await self._reference_by_hand()
+                if not await self._reference_by_hand(person):
+                    return {"decided": False}
             case other:
                 raise RequestError(f"there is no command {other!r}")
         return await self._outcome()
 
-    async def _reference_by_hand(self) -> None:
-        """Wait until the reference is in force; raises RequestError with the reason when it is refused."""
+    async def _reference_by_hand(self, person: str) -> bool:
+        """Return whether the reference is in force, False: not yet; raises RequestError when it is refused."""
+        decided: list[str] = []
+        if refusal := self._actions.request_reference(person, decided.append):
+            raise self._refusal("reference", refusal, person)
         try:
             async with asyncio.timeout(DECISION_S):
-                while (refusal := self._snapshots.control.reference_by_hand) is None:
+                while not decided:
                     await self._actions.carried_out()
         except TimeoutError:
-            return
-        if refusal:
-            raise RequestError(refusal)
+            return False
+        if decided[0]:
+            raise RequestError(decided[0])
+        return True
 
     async def _turn_spindle_speed(self, *, on: bool, person: str) -> dict[str, Any]:
         """Switch the tuning of the spindle speed; what is switched off is waited for until the NC cannot take it."""

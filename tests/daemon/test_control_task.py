@@ -21,7 +21,8 @@ from control_rig import (
 )
 from memory_cnc import MemoryNc
 
-from daemon.messages import ReferenceRebased, ReferenceRequest
+from daemon.messages import ReferenceRebased, ReferenceRefused, ReferenceRequest
+from daemon.monitor.control_socket import RequestError
 from drivers.clock import SystemClock
 from models.control.state import OperatorRequest
 from models.records import CncRun
@@ -212,13 +213,53 @@ async def test_a_positioning_block_asks_for_a_reference_once(rig, bench):
 
 async def test_a_reference_by_hand_names_the_person_and_needs_a_link(rig, bench):
     await rig.turn()
-    assert rig.control.request_reference("Ada (uid 7)") == ""
+    assert rig.control.requests.put_reference("Ada (uid 7)") == ""
     assert rig.asked == [], "asked for in the control task's own stack"
     await rig.hear()
     assert "Ada" in rig.asked[0].source
     bench.nc.reachable = False
     await rig.turn()
-    assert "no link" in rig.control.request_reference("Ada")
+    assert "no link" in rig.control.requests.put_reference("Ada")
+
+
+async def some_turns(rig):
+    for _ in range(4):
+        await rig.turn()
+        await asyncio.sleep(0)
+
+
+async def asked_by_two(rig):
+    """Two people ask for a reference at the same moment; return their waiting answers and what the estimation hears."""
+    await rig.active()
+    rig.asked.clear()
+    desk = rig.desk()
+    answers = [asyncio.create_task(desk.handle({"command": "reference"}, name)) for name in ("Ada", "Bob")]
+    await asyncio.sleep(0)
+    await rig.turn()
+    assert [question.source for question in rig.asked] == ["hand: Ada", "hand: Bob"]
+    return answers, [question.reference_id for question in rig.asked]
+
+
+async def test_of_two_people_each_hears_what_became_of_his_own_reference(rig):
+    (of_ada, of_bob), (first, second) = await asked_by_two(rig)
+    rig.set_reference(first)
+    await some_turns(rig)
+    assert (await asyncio.wait_for(of_ada, 1.0))["decided"], "hers is in force, whatever becomes of his"
+    rig.control.deliver(ReferenceRefused(reference_id=second, why="no temperature has arrived"))
+    await some_turns(rig)
+    with pytest.raises(RequestError, match="no temperature has arrived"):
+        await asyncio.wait_for(of_bob, 1.0)
+    assert rig.control.reference.reference_id == first
+
+
+async def test_a_reference_by_hand_that_nobody_has_decided_on_is_not_said_to_be(rig, monkeypatch):
+    monkeypatch.setattr("daemon.monitor.commands.DECISION_S", 0.05)
+    await rig.active()
+    answer = asyncio.create_task(rig.desk().handle({"command": "reference"}, "Ada"))
+    while not answer.done():
+        await rig.turn()
+        await asyncio.sleep(0.01)
+    assert await answer == {"decided": False}
 
 
 async def test_an_estimate_of_another_reference_moves_nothing(rig, bench):

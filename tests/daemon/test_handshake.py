@@ -390,13 +390,13 @@ async def test_zero_first_refuses_a_reference_by_hand_before_anything_begins_to_
     bench = zero_first(Bench(tmp_path))
     async with running(bench.rig()) as rig:
         await rig.active()
-        assert rig.control.request_reference("Ada") == ""
+        assert rig.control.requests.put_reference("Ada") == ""
         await rig.hear()
         assert last_asked(rig).source == "hand: Ada"
         rig.set_reference(last_asked(rig).reference_id, positioning=False)
         await rig.follow(0.0, -8.0, 40)
         rig.asked.clear()
-        assert "zero_first and 8.0 um are still applied" in rig.control.request_reference("Ada")
+        assert "zero_first and 8.0 um are still applied" in rig.control.requests.put_reference("Ada")
         await rig.follow(0.0, -8.0, 2)
         assert rig.state == "ACTIVE" and not rig.asked
         assert "zero_first" in rig.control.journal.notices[-1]

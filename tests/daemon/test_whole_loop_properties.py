@@ -271,7 +271,7 @@ class Shop(RuleBasedStateMachine):
 
     @rule()
     def a_person_sets_a_reference(self) -> None:
-        self.loop.rig.control.request_reference("a person")
+        self.loop.rig.control.requests.put_reference("a person")
         self.runner.run(self.loop.hand_on())
         self.let_pass(2)
 

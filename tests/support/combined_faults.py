@@ -387,7 +387,7 @@ async def position(shop: Attack) -> None:
 
 async def reference_by_hand(shop: Attack) -> None:
     shop.say("reference by hand is asked for")
-    shop.loop.rig.control.request_reference("a person")
+    shop.loop.rig.control.requests.put_reference("a person")
 
 
 async def probe(shop: Attack) -> None:
