@@ -62,25 +62,23 @@ class EchoWatch:
         awaited = self._awaited
         if not any(command.enable):
             self._drop()
-        elif awaited is not None and self._holds(awaited, command):
             return
-        elif line is not None:
+        if awaited is not None and self._holds(awaited, command):
+            return
+        if line is not None:
             self._drop()
-            self._awaited = _Awaited(
-                line=line,
-                trace=trace,
-                write_id=write_id,
-                value_um=command.compensation_um,
-                enabled=command.enable,
-                guard_time_s=None if echo is None else echo.time_s,
-            )
         elif awaited is not None:
-            self._awaited = replace(
-                awaited,
-                value_um=command.compensation_um,
-                enabled=command.enable,
-                guard_time_s=None if echo is None else echo.time_s,
-            )
+            line, trace, write_id = awaited.line, awaited.trace, awaited.write_id
+        else:
+            return
+        self._awaited = _Awaited(
+            line=line,
+            trace=trace,
+            write_id=write_id,
+            value_um=command.compensation_um,
+            enabled=command.enable,
+            guard_time_s=None if echo is None else echo.time_s,
+        )
 
     def seen(self, echo: Echo | None, time: Instant) -> None:
         """Take what a poll shows: perhaps the guard has applied in full what is awaited."""

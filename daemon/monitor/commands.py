@@ -1,7 +1,7 @@
 """Serves the commands that people send to the running daemon over its local socket."""
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -49,26 +49,20 @@ class CommandDesk:
             case "acknowledge":
                 self._submit(OperatorRequest(acknowledge=True), person)
             case "reference":
-                if not await self._reference_by_hand(person):
-                    return {"decided": False}
+                return await self._reference_by_hand(person)
             case other:
                 raise RequestError(f"there is no command {other!r}")
         return await self._outcome()
 
-    async def _reference_by_hand(self, person: str) -> bool:
-        """Return whether the reference is in force, False: not yet; raises RequestError when it is refused."""
+    async def _reference_by_hand(self, person: str) -> dict[str, Any]:
+        """Return where the output stands with this reference; raises RequestError with the reason for a refusal."""
         decided: list[str] = []
         if refusal := self._actions.request_reference(person, decided.append):
             raise self._refusal("reference", refusal, person)
-        try:
-            async with asyncio.timeout(DECISION_S):
-                while not decided:
-                    await self._actions.carried_out()
-        except TimeoutError:
-            return False
-        if decided[0]:
+        outcome = await self._outcome(lambda: bool(decided))
+        if any(decided):
             raise RequestError(decided[0])
-        return True
+        return outcome
 
     async def _turn_spindle_speed(self, *, on: bool, person: str) -> dict[str, Any]:
         """Switch the tuning of the spindle speed; what is switched off is waited for until the NC cannot take it."""
@@ -94,11 +88,13 @@ class CommandDesk:
         self._actions.record_refusal(f"{what}: {why}", person)
         return RequestError(why)
 
-    async def _outcome(self) -> dict[str, Any]:
+    async def _outcome(self, decided: Callable[[], bool] = lambda: True) -> dict[str, Any]:
         """Return where the output stands when the request has been decided on, or that it has not been yet."""
         try:
             async with asyncio.timeout(DECISION_S):
                 await self._actions.carried_out()
+                while not decided():
+                    await self._actions.carried_out()
         except TimeoutError:
             return {"decided": False}
         control = self._snapshots.control
