@@ -1,11 +1,11 @@
 """Serves the requests of the NC program, and answers when what was asked for is done."""
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 from daemon.cnc.events import Journal
 from daemon.cnc.session import CncSession
 from daemon.compensation.handshake import Handshake
+from daemon.compensation.probing import MeasuredByNc
 from daemon.compensation.references import References, new_id
 from drivers.contract import FatalDriverError
 from models.control.nc_request import NcRequest, Refusal, RequestKind
@@ -16,6 +16,7 @@ from models.records import CncSample, WriteOutcome
 HANDSHAKE_CAUSE = "handshake"
 """Cause of an answer in the audit."""
 UNANSWERED = "an answer to the NC program could not be written"
+WITHDRAWN = "the program no longer waits for the answer"
 SWITCHED_OFF = "the CNC was switched off and on since, as far as anybody has seen; ask again"
 
 
@@ -33,22 +34,6 @@ class _Pending:
     refusal: str = ""
 
 
-class NcOutput(Protocol):
-    """What the NC program may ask of the output, beside a reference."""
-
-    def set_tool(self, axis: str) -> str:
-        """Make what is applied the baseline of the tool in the spindle; return why it is refused."""
-
-    def change_tool(self, tool_number: int) -> None:
-        """Take another tool into the spindle."""
-
-    def take_probe(self, axis: str, deviation_um: float) -> str:
-        """Let a probe value correct the estimate, or return why not."""
-
-    def given_up(self, memory: OutputMemory, inputs: OutputInputs) -> str:
-        """Give up what waits for a step that cannot count it; return why."""
-
-
 class RequestDesk:
     """One desk for one NC program; owned by the control task."""
 
@@ -57,7 +42,7 @@ class RequestDesk:
         handshake: Handshake,
         references: References,
         journal: Journal,
-        output: NcOutput,
+        output: MeasuredByNc,
     ) -> None:
         self._handshake = handshake
         self._references = references
@@ -81,6 +66,8 @@ class RequestDesk:
         request, missed = self._handshake.take(found)
         if missed:
             self._references.end(missed)
+        if request is not None:
+            self._output.drop(WITHDRAWN)
         if isinstance(request, NcRequest) and power_cycled(before, sample):
             request = Refusal(why=SWITCHED_OFF, number=float(request.counter), may_have_positioned=False)
         if isinstance(request, Refusal):
@@ -152,7 +139,8 @@ class RequestDesk:
             return
         if self._handshake.withdrawn(sample.macros) and isinstance(pending.request, NcRequest):
             self._pending = None
-            self._journal.say("notice", f"{pending.request}: the program no longer waits for the answer")
+            self._output.drop(WITHDRAWN)
+            self._journal.say("notice", f"{pending.request}: {WITHDRAWN}")
             if pending.reference_id is not None:
                 self._references.withdraw(pending.reference_id)
                 self._references.end("the NC program gave up waiting for its reference")

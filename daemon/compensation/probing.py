@@ -105,32 +105,36 @@ class MeasuredByNc:
         if (probe := self._probe) is not None:
             axis, deviation_um = probe.axis, probe.deviation_um
             now, _ = judged_probe(memory, inputs, self._limits, axis=axis, deviation_um=deviation_um, now=probe.time)
-            if not now.accepted:
-                self._history.probe(now)
             lost = now.reason
         else:
             lost = _tool_setting_refusal(memory, inputs, self._limits)
         if lost:
-            self.tool_setting = self.probe_um = self._probe = None
+            self.drop(lost)
         return lost
+
+    def drop(self, why: str) -> None:
+        """Let nothing that waits for a step count."""
+        if self._probe is not None:
+            self._history.probe(replace(self._probe, accepted=False, reason=why))
+        self.tool_setting = self.probe_um = self._probe = None
 
     def settle(self, inputs: OutputInputs, memory: OutputMemory) -> str:
         """See after the write of a step if it took effect; return why not, '' when it did or nothing was taken."""
         if not self.waiting:
             return ""
-        effective = inputs.link and bool(np.all(np.isfinite(inputs.applied_um))) and memory.reference_id is not None
-        lost = LOST if inputs.output_fault is None else FAULTY
-        effective &= inputs.output_fault is None
+        reached = inputs.link and bool(np.all(np.isfinite(inputs.applied_um))) and memory.reference_id is not None
+        if lost := FAULTY if inputs.output_fault is not None else "" if reached else LOST:
+            self.drop(lost)
+            return lost
         if self._probe is not None:
-            self._history.probe(self._probe if effective else replace(self._probe, accepted=False, reason=lost))
-            if effective:
-                self._skill.probe(self._probe, memory, inputs)
-        if self.tool_setting is not None and effective:
+            self._history.probe(self._probe)
+            self._skill.probe(self._probe, memory, inputs)
+        if self.tool_setting is not None:
             self.tool.begin(self.tool.number, self._look().estimate)
             axis = self._limits.axes[self.tool_setting.index(True)]
             self._journal.say("tool", f"T{self.tool.number} set on axis {axis}")
         self.tool_setting = self.probe_um = self._probe = None
-        return "" if effective else lost
+        return ""
 
 
 def judged_probe(

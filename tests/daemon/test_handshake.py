@@ -445,6 +445,30 @@ async def test_a_reference_by_hand_that_is_refused_while_a_probe_waits_for_its_s
         assert rig.applied["z"] == pytest.approx(5.0, abs=0.11)
 
 
+@pytest.mark.parametrize("asks_anew", [False, True])
+@pytest.mark.parametrize("kind", [PROBE, REFERENCE])
+async def test_what_the_program_no_longer_waits_for_is_not_counted_where_the_guard_has_gone(
+    rig, bench, kind, asks_anew
+):
+    """It was seen just before the program's patience ended, and the program goes on: the guard steps."""
+    await rig.active()
+    await rig.follow(0.0, -8.0, 40)
+    for _ in range(20):
+        await rig.turn(rig.estimate(0.0, -16.0), safe=False)
+    assert rig.applied["z"] == pytest.approx(8.0) and bench.nc.macros.get(Z) == pytest.approx(0.016)
+    ask(bench, 1, kind, Z_AXIS, -0.008 if kind == PROBE else 0.0)
+    await rig.control._guarded(rig.control._poll())
+    if asks_anew:
+        ask(bench, 2, TOOL_CHANGE, 0, 1.0)
+    else:
+        bench.nc.macros.set(KIND, 0.0)
+    bench.nc.safe_point()
+    await rig.turn()
+    await rig.follow(0.0, -16.0, 40)
+    assert rig.state == "ACTIVE" and not rig.control.memory.tools
+    assert rig.applied["z"] == pytest.approx(16.0, abs=0.11)
+
+
 @pytest.mark.parametrize("kind", [PROBE, REFERENCE])
 async def test_what_was_measured_before_the_work_was_positioned_anew_moves_nothing_after_it(rig, bench, kind):
     await rig.active()
