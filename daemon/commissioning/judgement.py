@@ -1,5 +1,6 @@
 """Judges readings: whether they prove axis, sign and scale."""
 
+import math
 from collections.abc import Mapping
 
 from config.records.commissioning import PROOF_TOLERANCE, AxisReadings, CommissionedAxis
@@ -29,6 +30,15 @@ KNOWN_SCALES = (
 Taken = Mapping[Moment, Mapping[str, Reading]]
 
 
+class DisprovedError(CommissioningRefusedError):
+    """An axis does not move as it is told to; what a record of before says of it may be wrong now."""
+
+    def __init__(self, text: str, axis: str, ratio: float = math.nan) -> None:
+        """`ratio` of the movement to what was written; NaN where axes are mixed up."""
+        super().__init__(text)
+        self.axis, self.ratio = axis, ratio
+
+
 def judge(
     axis: str, written_um: float, taken: Taken, *, accept_reversed: bool = False, accept_scale: bool = False
 ) -> CommissionedAxis:
@@ -46,12 +56,12 @@ def judge(
     _refuse_wrong_axis(axis, written_um, moved_um, others_um)
     ratio = moved_um / written_um
     if ratio < 0 and not accept_reversed:
-        raise CommissioningRefusedError(_reversed(axis, written_um, moved_um))
+        raise DisprovedError(_reversed(axis, written_um, moved_um), axis, ratio)
     scale = abs(ratio)
     if abs(scale - 1.0) <= PROOF_TOLERANCE:
         scale = 1.0  # they agree; a reading of some micrometres does not know it better
     elif not accept_scale or not LEAST_SCALE <= scale <= LARGEST_SCALE:
-        raise CommissioningRefusedError(_wrong_scale(axis, written_um, moved_um, scale))
+        raise DisprovedError(_wrong_scale(axis, written_um, moved_um, scale), axis, ratio)
     return CommissionedAxis(
         sign=1 if ratio > 0 else -1,
         scale=round(scale, 3),
@@ -122,14 +132,16 @@ def _refuse_wrong_axis(axis: str, written_um: float, moved_um: float, others_um:
             else "look which axis moved (are two axes swapped in cnc.macros.values or in the guard?), whether the "
             "instrument touches, and whether the value is taken for a far larger unit (inch mode: 1/25.4)"
         )
-        raise CommissioningRefusedError(
+        raise DisprovedError(
             f"axis {axis}: {written_um:g} um were commanded and applied by the guard's own account, and the instrument "
-            f"moved by {moved_um:.2f} um{instead}. Nothing is proved: {advice}"
+            f"moved by {moved_um:.2f} um{instead}. Nothing is proved: {advice}",
+            axis,
         )
     if moved:
-        raise CommissioningRefusedError(
+        raise DisprovedError(
             f"axis {axis}: it moved by {moved_um:.2f} um, but {words} moved as well, and must not. Check that the "
-            "guard adds each value to one axis only, and that the instruments stand square to the axes"
+            "guard adds each value to one axis only, and that the instruments stand square to the axes",
+            axis,
         )
 
 

@@ -2,16 +2,42 @@
 
 import asyncio
 from collections.abc import Callable
+from pathlib import Path
 
+from config.records.commissioning import PROOF_TOLERANCE, CommissioningError, load_commissioning
 from daemon.commissioning.dialogue import Dialogue
 from daemon.commissioning.initialising import CommissioningRefusedError, ForeignWriterError
+from daemon.commissioning.judgement import DisprovedError
 from daemon.commissioning.movement import Movement
 from daemon.commissioning.station import Station
 from drivers.contract import DriverError
 
+DISPROVED = ".disproved"
+"""End of the name of a record that counts no more."""
 RECONNECTING_S = 2.0
 RECONNECTS = 15
 """A lost link is tried so often before the machine is left as it is."""
+
+
+def set_aside(record_file: Path | None, error: DisprovedError, report: Callable[[str], None]) -> None:
+    """Let a record of before count no more that says otherwise of this axis: a daemon would follow by it."""
+    if record_file is None:
+        return
+    try:
+        record = load_commissioning(record_file)
+    except CommissioningError:
+        return
+    known = record.axes.get(error.axis)
+    if known is None or abs(error.ratio / (known.sign * known.scale) - 1.0) <= PROOF_TOLERANCE:
+        return
+    aside = record_file.with_name(record_file.name + DISPROVED)
+    what = f"The record of {record.date} says otherwise of axis {error.axis}"
+    try:
+        record_file.replace(aside)
+    except OSError as problem:
+        report(f"{what} and still counts: {record_file} cannot be renamed ({problem.strerror}); remove it")
+    else:
+        report(f"{what}, so it counts no more and is {aside} now: no axis can be switched on until a new one is there")
 
 
 class SafeExit:

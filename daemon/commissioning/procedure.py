@@ -13,8 +13,8 @@ from config.schema import Configuration
 from config.schema.compensation import AxisConfig
 from daemon.commissioning.dialogue import Dialogue
 from daemon.commissioning.initialising import BlockFound, CommissioningRefusedError
-from daemon.commissioning.judgement import judge, refuse_noise
-from daemon.commissioning.leaving import SafeExit
+from daemon.commissioning.judgement import DisprovedError, judge, refuse_noise
+from daemon.commissioning.leaving import SafeExit, set_aside
 from daemon.commissioning.movement import Movement
 from daemon.commissioning.preconditions import (
     refuse_clock,
@@ -111,6 +111,8 @@ class Commissioning:
             beside = [] if self._log is None else [self._log.follow()]
             await self._station.supervise(self._prove(), *beside)
         except BaseException as error:
+            if isinstance(error, DisprovedError):
+                set_aside(self._configuration.compensation.commissioning_file, error, self._report)
             await SafeExit(self._station, self._movement, self._dialogue, self._event).leave(error)
             raise
         finally:
@@ -121,6 +123,10 @@ class Commissioning:
 
     def _event(self, text: str) -> None:
         self._history.event("commissioning", text, self._plan.person)
+
+    def _report(self, text: str) -> None:
+        self._event(text)
+        self._say(text)
 
     def _say(self, text: str) -> None:
         self._dialogue.say(text)

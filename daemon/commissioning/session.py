@@ -46,9 +46,12 @@ async def commission(
     dialogue: Dialogue,
     clock: Clock,
     *,
+    save: Callable[[CommissioningRecord], None],
     open_cnc: Callable[[], Cnc] | None = None,
 ) -> CommissioningRecord | None:
     """Commission with the store locked and its audit running; None when only variables were initialised.
+
+    `save` writes the record while no daemon can start: one that did would go on with the record of before.
 
     SIGINT, SIGTERM and SIGHUP take the offsets back; a second one leaves the machine as it is. Raises
     CommissioningRefusedError, DriverError, or CancelledError after such a signal.
@@ -85,7 +88,9 @@ async def commission(
             loop.add_signal_handler(number, task.cancel)
         station = Station(configuration, link)
         work = Commissioning(configuration, plan, station, dialogue, instruments, history, _today, log)
-        return await work.run()
+        if (record := await work.run()) is not None:
+            save(record)
+        return record
     except CncLockError as error:
         raise CommissioningRefusedError(str(error)) from error
     finally:
@@ -104,6 +109,7 @@ async def commission_by(
     dialogue: Dialogue,
     clock: Clock,
     record_file: Path | None,
+    save: Callable[[CommissioningRecord], None],
 ) -> CommissioningRecord | None:
     """Ask who is there and what with, and whether an old record may go; then commission."""
     person = plan.person.strip() or await dialogue.text("Your name (it stands in the record and the audit):")
@@ -117,7 +123,7 @@ async def commission_by(
         if not await dialogue.confirm(question):
             raise CommissioningRefusedError(f"you said no to: {question}")
     named = replace(plan, person=person, instrument=instrument)
-    return await commission(configuration, named, sources, dialogue, clock)
+    return await commission(configuration, named, sources, dialogue, clock, save=save)
 
 
 def hand_over(store: Path) -> None:

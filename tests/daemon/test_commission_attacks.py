@@ -9,9 +9,15 @@ import numpy as np
 import pytest
 import pytest_asyncio
 from commissioning_bench import STOPPED, Bench, Person, refused, serving
+from control_rig import record_for
 
+from config.records.commissioning import CommissionedAxis
+from config.records.commissioning_file import save_commissioning
 from daemon.commissioning.initialising import ForeignWriterError
 from daemon.commissioning.session import Sources
+from daemon.history import HistoryWriter
+from daemon.history.database import HistoryError
+from daemon.history.layout import MachineLayout
 from drivers.contract import LinkError
 from drivers.sim.nc.wiring import Wiring
 from models.records import WriteOutcome
@@ -92,6 +98,44 @@ async def test_a_reversed_sign_and_a_scale_are_recorded_only_when_a_person_accep
     assert (record.axes["z"].sign, record.axes["z"].scale) == (-1, 2.0)
     bench.reset(INCH)
     assert "taken for inches" in await refused(bench, axes=("z",), **both)
+
+
+@pytest.mark.parametrize(
+    ("before", "words"),
+    [((1, 1.0), "axis z, so it counts no more"), ((-1, 1.0), None), ((1, 2.0), "counts no more")],
+)
+async def test_a_record_of_before_that_the_machine_disproves_counts_no_more(bench, before, words):
+    """The person gives up, and the next one switches on: a daemon with that record would double the error."""
+    bench.reset(REVERSED)
+    record_file = bench.directory / "record.json"
+    sign, scale = before
+    known = CommissionedAxis(sign=sign, scale=scale, written_um=5.0, measured_um=5.0 * sign * scale)
+    save_commissioning(record_for(bench.configuration(), axes={"z": known}), record_file)
+
+    def named(content):
+        content["compensation"]["commissioning_file"] = str(record_file)
+
+    person = Person(bench)
+    assert "doubles the error" in await refused(bench, person, axes=("z",), change=named)
+    assert bench.at_rest()
+    assert record_file.exists() == (words is None)
+    assert words is None or words in person.text_said
+    refusal = await refused(bench, axes=("z",), change=named)
+    assert "doubles the error" in refusal, "the same again, with the record or without"
+
+
+async def test_the_record_is_written_before_a_daemon_can_start(bench):
+    """One that is started again and again beside the command would begin with the record of before."""
+    refusals = []
+
+    def save(record):
+        with pytest.raises(HistoryError) as refusal:
+            HistoryWriter(bench.store, clock=bench.clock, machine=MachineLayout.from_configuration(described)).start()
+        refusals.append((tuple(record.axes), str(refusal.value)))
+
+    described = bench.configuration()
+    await bench.commission(Person(bench), axes=("z",), save=save)
+    assert [axes for axes, _ in refusals] == [("z",)]
 
 
 async def test_an_instrument_that_does_not_come_back_proves_nothing(bench):

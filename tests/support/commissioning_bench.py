@@ -199,6 +199,7 @@ class Bench:
         *,
         change: Callable[[dict[str, Any]], None] = lambda content: None,
         sources: Sources | None = None,
+        save: Callable[[CommissioningRecord], None] = lambda record: None,
         **plan: Any,
     ) -> CommissioningRecord | None:
         """Commission as the command does."""
@@ -211,7 +212,7 @@ class Bench:
             "patience_s": 900.0,
         } | plan
         async with asyncio.timeout(FOREVER_S):
-            return await commission(configuration, Plan(**content), sources or Sources(), person, self.clock)
+            return await commission(configuration, Plan(**content), sources or Sources(), person, self.clock, save=save)
 
     @property
     def store(self) -> Path:

@@ -232,7 +232,7 @@ def _commission(
     *,
     consent: bool,
 ) -> int:
-    from config.records.commissioning import CommissioningError
+    from config.records.commissioning import CommissioningError, CommissioningRecord
     from config.records.commissioning_file import save_commissioning
     from config.signing import SigningError, TrustedKeys
     from config.signing_key import SigningKey
@@ -253,10 +253,14 @@ def _commission(
             if path is not None:
                 check_destination(path)
         dialogue = TerminalDialogue(consent=consent)
-        record = asyncio.run(commission_by(configuration, plan, sources, dialogue, clock, record_file))
+
+        def save(record: CommissioningRecord) -> None:
+            if record_file is not None:
+                save_commissioning(record, record_file, key)
+
+        record = asyncio.run(commission_by(configuration, plan, sources, dialogue, clock, record_file, save))
         if record is None or record_file is None:
             return 0
-        save_commissioning(record, record_file, key)
         click.echo(f"Record: {record_file}")
         if report_path is not None:
             _write_report(report_path, report_html(record, configuration))
