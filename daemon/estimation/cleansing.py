@@ -115,7 +115,7 @@ class Cleansing:
         self._mean = RollingMean(configuration.compensation.reference.mean_s)
         self.due_s = max(self._mean.window_s, HELD_PERIODS * temperatures.shortest_period_s)
         self.least = configuration.compensation.output.min_confidence
-        self._full = configuration.compensation.output.full_confidence
+        self.full = configuration.compensation.output.full_confidence
         """With less confidence the output holds."""
         _, self._group = np.unique(temperatures.components, return_inverse=True)
         self._usable_at_s = np.full(len(position), -np.inf)
@@ -173,7 +173,7 @@ class Cleansing:
             return why
         if why := self.memory.at_reference():
             return why
-        if share >= self._full:
+        if share >= self.full:
             return ""
         doubtful = np.isnan(degc) & np.isfinite(self.mean_degc()) & (self.levels.uncertainty_k != 0.0)
         out = np.flatnonzero(doubtful | np.isin(self._sensor_ids, [*wrong]))

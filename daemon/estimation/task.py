@@ -49,6 +49,7 @@ from models.records import (
 from models.sensor_levels import unshifted
 from models.thermal.estimation import UNSURE_UM, Estimation, Machine
 from models.thermal.family import ThermalModel
+from models.thermal.features import BoolArray
 
 log = structlog.get_logger(__name__)
 TURNS_OF_OUTPUT = 4
@@ -62,6 +63,10 @@ def _open_positions(configuration: Configuration) -> NoPositions:
     from daemon.estimation.axis_positions import AxisPositions  # noqa: PLC0415 (loaded only where it is configured)
 
     return AxisPositions(configuration)
+
+
+SAME_CONFIDENCE = 1e-3
+"""A model whose confidence is lower by more counts for less."""
 
 
 class ThermalTask:
@@ -214,7 +219,7 @@ class ThermalTask:
         self.cycles_received += 1
         self._telemetry.arrived(cycle)
         renewed = self._estimate(temperatures)
-        known = (self.latest_estimate, renewed, self._cleansing, self._positions)
+        known = (self.latest_estimate, renewed, self._cleansing, self._positions, self._reference, self._since.absent)
         if self._next is not None and not _waits_for(self._next, *known):
             self._online, self._next = self._next, None
             before, renewed = renewed, self._estimate(temperatures)
@@ -388,12 +393,14 @@ def _waits_for(
     renewed: ThermalErrorEstimate | None,
     cleansing: Cleansing,
     positions: NoPositions,
+    reference: Reference | None,
+    absent: BoolArray,
 ) -> str:
     """Note and return why another model does not go on from this estimate yet, '' when it may.
 
     The difference of the two would stay with the reference.
     """
-    if before is None or renewed is None:
+    if before is None or renewed is None or reference is None:
         to.waits = "no estimate is made that it could go on from"
         return to.waits
     now_s = renewed.trace.first_byte.monotonic_s
@@ -406,9 +413,14 @@ def _waits_for(
         to.waits = f"a sensor that counts has been silent for {renewed.held_s:.0f} s"
     elif cleansing.jumped_k is not None or not same or renewed.fading_um > UNSURE_UM / 2:
         to.waits = "sensors have just left, returned or jumped, or the work was positioned"
+    elif now_s - before.trace.first_byte.monotonic_s > cleansing.window_s / 2:
+        to.waits = "no temperatures came for a while"
     else:
-        late = now_s - before.trace.first_byte.monotonic_s > cleansing.window_s / 2
-        to.waits = "no temperatures came for a while" if late else ""
+        inputs = positions.behind(cleansing.counted_degc(absent, reference), now_s)
+        answer = to.estimate(reference, now_s, inputs, absent)
+        worth = 0.0 if answer is None else answer[0].confidence * positions.trust(to.model, now_s, ())[0]
+        less = worth < min(renewed.confidence, cleansing.full) - SAME_CONFIDENCE
+        to.waits = "less is known of what it counts from than of what the model in use does" if less else ""
     return to.waits
 
 
