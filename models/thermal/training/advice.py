@@ -8,7 +8,7 @@ import numpy as np
 from models.recordings.findings import counted
 from models.recordings.jumps import scatter_um
 from models.thermal.features import BoolArray
-from models.thermal.training.evaluation import ResidualMetrics
+from models.thermal.training.evaluation import NOISE_FACTOR, ResidualMetrics, spans_um
 from models.thermal.training.folds import FEWEST_CYCLES, cycles, fold_segments
 from models.thermal.training.inputs import Inputs
 
@@ -20,8 +20,6 @@ TELLS_APART = 8
 """Families that are equally good on so many whole runs or cycles are equally good: nothing more need be recorded."""
 SAME = 0.005
 """Families that leave so much more or less of the left-out error are not told apart."""
-NOISE_FACTOR = 4.0
-"""A channel moves when its values between 5 and 95 % span more than so many times the scatter of neighbouring rows."""
 
 
 def advice(inputs: Inputs, rows: BoolArray, independent: int) -> tuple[str, ...]:
@@ -52,18 +50,14 @@ def advice(inputs: Inputs, rows: BoolArray, independent: int) -> tuple[str, ...]
 
 def still_channels(inputs: Inputs, rows: BoolArray) -> tuple[str, ...]:
     """Return what to do about channels that hardly move; `inputs` and `rows`: the recordings and the training rows."""
-    found = []
+    of_runs = [inputs.measured_um[rows & (inputs.run == run)] for run in np.unique(inputs.run[rows])]
     noise_um = scatter_um([inputs.measured_um[part] for part in fold_segments(inputs, rows)])
-    for channel, name in enumerate(inputs.channels):
-        values = inputs.measured_um[rows, channel]
-        of_runs = [values[inputs.run[rows] == run] for run in np.unique(inputs.run[rows])]
-        spans_um = [float(np.subtract(*np.nanquantile(each, (0.95, 0.05)))) for each in of_runs if len(each)]
-        if max(spans_um, default=0.0) <= NOISE_FACTOR * noise_um[channel]:
-            found.append(
-                f"channel {name} moved by {max(spans_um, default=0.0):.2g} um, no more than its noise: nothing can be "
-                "learned about it; record runs in which its axis warms, or leave the channel out"
-            )
-    return tuple(found)
+    return tuple(
+        f"channel {name} moved by {span_um:.2g} um, no more than its noise: nothing can be learned about it, and it "
+        "has no say in what is chosen; record runs in which its axis warms, or leave the channel out"
+        for name, span_um, noise in zip(inputs.channels, spans_um(of_runs), noise_um, strict=True)
+        if span_um <= NOISE_FACTOR * noise
+    )
 
 
 def whole_runs(inputs: Inputs, rows: BoolArray, independent: int) -> int:

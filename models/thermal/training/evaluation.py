@@ -1,10 +1,35 @@
 """Measures how good an estimate is: residuals with and without it, from one reference on."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from models.recordings.jumps import scatter_um
 from models.records import FloatArray
+from models.thermal.features import BoolArray
+
+NOISE_FACTOR = 4.0
+"""A channel moves when its values between 5 and 95 % span more than so many times the scatter of neighbouring rows."""
+
+
+def spans_um(stretches: Sequence[FloatArray]) -> FloatArray:
+    """Return the largest span within a stretch between 5 and 95 % of each channel's values [um], see `moving`."""
+    spans = [np.subtract(*np.nanquantile(each, (0.95, 0.05), axis=0)) for each in stretches]
+    return np.asarray(np.max(spans, axis=0), dtype=np.float64)
+
+
+def moving(stretches: Sequence[FloatArray]) -> BoolArray:
+    """Return which channels have a say in how good a model is: those that move, or all where none does.
+
+    Nothing can be learned about one that never leaves its noise, so what is left of it says nothing of a model.
+
+    `stretches`: measured displacements [um], each of shape (n, n_channels), at least one row each.
+    """
+    if not len(stretches):
+        return np.ones(0, dtype=np.bool_)
+    moves = spans_um(stretches) > NOISE_FACTOR * scatter_um(stretches)
+    return moves if moves.any() else np.ones_like(moves)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

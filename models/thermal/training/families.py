@@ -16,7 +16,7 @@ from models.thermal.features import BoolArray, Design, IntArray
 from models.thermal.gaussian import Mixture
 from models.thermal.model import HyperParameters
 from models.thermal.solution import Solution, imputed_mean
-from models.thermal.training.evaluation import ResidualMetrics
+from models.thermal.training.evaluation import ResidualMetrics, moving
 from models.thermal.training.folds import fold_segments
 from models.thermal.training.inputs import Inputs
 from models.thermal.training.probing import probed_residual_um
@@ -92,10 +92,15 @@ Prepare = Callable[[Inputs, BoolArray, IntArray, float | None], Problem]
 """Inputs, training rows, their folds, and the time between probes [min] (None without) -> the prepared family."""
 
 
+def _complete(inputs: Inputs, rows: BoolArray) -> list[IntArray]:
+    """Return the stretches of some rows in which every channel was measured."""
+    return fold_segments(inputs, rows & np.isfinite(inputs.measured_um).all(axis=1))
+
+
 def held_out_um(inputs: Inputs, rows: BoolArray, fit: Fit) -> tuple[list[FloatArray], list[FloatArray]]:
     """Return measured and estimated thermal errors of each stretch of some rows, from its own first row on [um]."""
     measured, estimated = [], []
-    for segment in fold_segments(inputs, rows & np.isfinite(inputs.measured_um).all(axis=1)):
+    for segment in _complete(inputs, rows):
         first = segment[0]
         measured.append(inputs.measured_um[segment] - inputs.measured_um[first])
         elapsed_min = inputs.time_min[segment] - inputs.time_min[first]
@@ -136,7 +141,8 @@ def relative_rmse(
 ) -> float:
     """Return the mean over the channels that move of the RMSE with / without the model, see `held_out_metrics`."""
     found = held_out_metrics(inputs, rows, fold, fits, probe_min)
-    moves = found.rmse_without_um > 0.0
+    held_out = [part for number in fits for part in _complete(inputs, rows & (fold == number))]
+    moves = (found.rmse_without_um > 0.0) & moving([inputs.measured_um[part] for part in held_out])
     if not moves.any():
         return float("nan")
     return float((found.rmse_with_um[moves] / found.rmse_without_um[moves]).sum() / moves.sum())

@@ -7,6 +7,7 @@ import numpy as np
 
 from models.records import FloatArray
 from models.thermal.features import BoolArray, IntArray
+from models.thermal.training.evaluation import moving
 from models.thermal.training.families import Fit, fold_numbers, held_out_um
 from models.thermal.training.inputs import Inputs
 from models.thermal.training.probing import probed_residual_um
@@ -43,6 +44,12 @@ class LeftOutErrors:
                 without[place] += np.square(self.measured_um[index]).sum(axis=0)
                 left[place] += np.square(self.probed_um(int(index))).sum(axis=0)
         return without, left, np.array(count, dtype=np.float64)
+
+    def scored(self) -> tuple[FloatArray, FloatArray]:
+        """Return the sums of squares of `squares` of the channels that move, see `moving`."""
+        without, left, _ = self.squares()
+        moves = moving(self.measured_um)
+        return without[:, moves], left[:, moves]
 
     def probed_um(self, index: int) -> FloatArray:
         """Return the residual of a stretch as probes leave it [um], shape (n, n_channels)."""
@@ -139,8 +146,7 @@ def rmse_um(errors: LeftOutErrors) -> tuple[FloatArray, FloatArray]:
 
 def relative(errors: LeftOutErrors) -> float:
     """Return the mean over the channels that move of the RMSE with / without the family; NaN when none moves."""
-    without, left, _ = errors.squares()
-    return relative_of(without, left)
+    return relative_of(*errors.scored())
 
 
 def relative_of(without: FloatArray, left: FloatArray) -> float:
@@ -157,8 +163,8 @@ def advantage(errors: LeftOutErrors, other: LeftOutErrors) -> tuple[float, float
     the same folds, so that what makes a fold hard for both does not count. Infinite with fewer than three folds,
     because scores then say nothing of other days.
     """
-    without, mine, _ = errors.squares()
-    _, theirs, _ = other.squares()
+    without, mine = errors.scored()
+    _, theirs = other.scored()
     difference = relative_of(without, theirs) - relative_of(without, mine)
     folds = len(without)
     if folds < 3:

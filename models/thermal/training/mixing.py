@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from models.records import FloatArray
+from models.thermal.training.evaluation import moving
 from models.thermal.training.families import members
 from models.thermal.training.left_out_errors import (
     LeftOutErrors,
@@ -105,7 +106,7 @@ def _added_by_products(without: FloatArray, products: FloatArray) -> dict[int, f
 def _products(errors: Sequence[LeftOutErrors]) -> tuple[FloatArray, FloatArray]:
     """Return sums over the rows of each fold: measured squared, and each residual times each other [um^2].
 
-    Result of shapes (n_folds, n_channels) and (n_members, n_members, n_folds, n_channels).
+    Result, of the channels that move: of shapes (n_folds, n_channels) and (n_members, n_members, n_folds, n_channels).
     """
     numbers = np.unique(errors[0].folds)
     channels = errors[0].measured_um[0].shape[1]
@@ -116,4 +117,5 @@ def _products(errors: Sequence[LeftOutErrors]) -> tuple[FloatArray, FloatArray]:
         residual = np.stack([each.probed_um(index) for each in errors])
         without[place] += np.square(errors[0].measured_um[index]).sum(axis=0)
         products[:, :, place] += np.einsum("anc,bnc->abc", residual, residual)
-    return without, products
+    moves = moving(errors[0].measured_um)
+    return without[:, moves], products[..., moves]

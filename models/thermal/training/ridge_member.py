@@ -60,12 +60,12 @@ def nested_errors(tried: Sequence[LeftOutErrors]) -> tuple[int, LeftOutErrors]:
 
     The best of many on the folds that it is then judged by looks better than it is.
     """
-    tables = [one.squares() for one in tried]
+    tables = [one.scored() for one in tried]
     numbers = np.unique(tried[0].folds)
 
     def best(kept: BoolArray) -> int:
         """Return which leaves least of some folds."""
-        scores = [relative_of(without[kept], left[kept]) for without, left, _ in tables]
+        scores = [relative_of(without[kept], left[kept]) for without, left in tables]
         return int(np.nanargmin(scores)) if np.isfinite(scores).any() else len(scores) - 1
 
     parts = [only(tried[best(numbers != number)], int(number)) for number in numbers]
