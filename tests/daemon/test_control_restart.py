@@ -297,7 +297,7 @@ async def test_work_that_is_positioned_before_the_echo_is_known_ends_what_the_pr
             bench.nc.macros.set(ECHO_Y, applied)
             await rig.turn(safe=False)
             assert rig.state == "HOLD" and rig.control.reference is None
-            assert "positioned again" in rig.control.reference_ended
+            assert rig.control.reference_ended.endswith("positioned, and that set none (no temperature has arrived)")
         assert any("is not taken up again" in notice for notice in rig.control.journal.notices)
     bench.nc.macros.set(ECHO_Y, applied)
     async with running(bench.rig()) as rig:

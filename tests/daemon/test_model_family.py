@@ -50,6 +50,7 @@ class MeanTemperature:
     test_vectors: tuple[str, ...] = ()
     axis_positions: tuple[str, ...] = ()
     probing: None = None
+    needs_speed = False
 
     def __post_init__(self) -> None:
         if self.um_per_k.shape != (len(self.channels),):

@@ -330,7 +330,8 @@ async def test_a_restart_of_linuxcnc_stops_everything_until_a_person_acknowledge
     assert await session.guard() is GuardStatus.DISABLED
     assert await session.moved_um() == pytest.approx(before, abs=1e-3)
     await session.ask("acknowledge")
-    await session.state("HOLD")
+    await session.wait(lambda status: status["output"]["state"] != "FAULT")
+    await session.ask("enable")  # where LinuxCNC took so long to start that it was held for too long
     await session.linuxcnc.mdi("o<toolpoint> call [2] [1]")
     await session.state("ACTIVE")
     session.warm(3.0)
