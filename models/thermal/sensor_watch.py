@@ -21,7 +21,7 @@ WATCH_LAGS_MIN = (10.0, 90.0)
 FAST_MIN = 10.0
 """Departures are smoothed over this time [min] ..."""
 SLOW_MIN = 240.0
-"""... and count against their own mean over this time, or since the beginning [min]: what is slow is no fault."""
+"""... and count against their own mean over this time [min]: what a machine does slowly is no fault."""
 THRESHOLD_FACTOR = 2.0
 """Limits are this many times the largest value on stretches that were left out in training."""
 SLEW_MARGIN_K_PER_MIN = 0.3

@@ -95,9 +95,7 @@ class WatchState:
     fast: FloatArray
     """Scaled columns, smoothed, shape (d,)."""
     slow: FloatArray
-    """Their mean over the long time, or over what has passed of it: the first value weighs no more than any other."""
-    passed: float
-    """Share of the long time that has passed, 0..1; a gap leaves less of what was before it."""
+    """The same over the long time."""
     over_min: FloatArray
     """For how long each sensor has departed [min], shape (n_sensors,)."""
     departed: FloatArray
@@ -257,7 +255,6 @@ class Watcher:
             speed_lagged=speed_lagged,
             fast=columns,
             slow=columns.copy(),
-            passed=0.0,
             over_min=np.zeros(count),
             departed=np.zeros(count),
             flat_from=np.zeros(count),
@@ -302,7 +299,9 @@ class Watcher:
     ) -> WatchState:
         watch, known = self.watch, np.isfinite(degc)
         filled = np.where(known, degc, state.degc)
-        speed = speed_inputs(np.array([speed_rpm]), watch.speed_scale_rpm)[0] if np.isfinite(speed_rpm) else state.speed
+        speed = state.speed
+        if np.isfinite(speed_rpm):
+            speed = speed_inputs(np.array([speed_rpm]), watch.speed_scale_rpm)[0]
         lagged, speed_lagged = np.empty_like(state.lagged), np.empty_like(state.speed_lagged)
         for index, constant_min in enumerate(watch.layout.lags_min):
             lagged[index] = lag_step(state.lagged[index], state.degc, filled, elapsed_min, constant_min)
@@ -310,15 +309,12 @@ class Watcher:
             speed_lagged[index] = lag_step(state.speed_lagged[index], state.speed, speed, elapsed_min, constant_min)
         columns = self._columns(filled, lagged, speed_lagged)
         fast = columns + np.exp(-elapsed_min / FAST_MIN) * (state.fast - columns)
-        left = math.exp(-elapsed_min / SLOW_MIN)
-        passed = left * state.passed - math.expm1(-min(elapsed_min, BRIDGE_MIN) / SLOW_MIN)
         moved = state.departed - state.flat_from
         same = (np.abs(filled - state.degc) <= SAME_K) & (elapsed_min <= BRIDGE_MIN)
         step_k, told = self._steps_k.copy(), same & (self._steps_k <= 0.0)
         step_k[told] = usual_step_k(filled[told])
         least = np.maximum(MOVED, step_k / self._limit_k(state))
-        return replace(
-            state,
+        return WatchState(
             time_min=time_min,
             degc=filled,
             known_min=np.where(known, time_min, state.known_min),
@@ -327,12 +323,14 @@ class Watcher:
             lagged=lagged,
             speed_lagged=speed_lagged,
             fast=fast,
-            slow=fast + left * min(state.passed / passed, 1.0) * (state.slow - fast),
-            passed=passed,
+            slow=fast + np.exp(-elapsed_min / SLOW_MIN) * (state.slow - fast),
+            over_min=state.over_min,
+            departed=state.departed,
             flat_from=np.where(same, state.flat_from, state.departed),
             moved_since_min=np.where(same & (np.abs(moved) > least), state.moved_since_min, time_min),
             heard=state.heard | known,
             steps=state.steps.after(filled, elapsed_min, step_k),
+            faults=state.faults,
         )
 
     def _faults_at_once(self, before: WatchState, now: WatchState, degc: FloatArray) -> list[SensorFault]:

@@ -156,10 +156,6 @@ def _left_out_departures_k(inputs: Inputs, layout: Layout, rows: BoolArray, fold
 
 
 def _against_own_mean(inputs: Inputs, features: FloatArray) -> FloatArray:
-    """Return the smoothed columns against their mean, which begins at the first value: limits hold a start in full.
-
-    On line the mean weighs every value alike, so that a part which begins further off than in training is no fault.
-    """
     found = np.empty_like(features)
     for run in np.unique(inputs.run):
         rows = np.flatnonzero(inputs.run == run)
