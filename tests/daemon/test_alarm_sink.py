@@ -5,7 +5,7 @@ import contextlib
 import shutil
 import threading
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from alarm_servers import Posts, web_server
 from certificates import make_certificate
 from control_rig import HandClock, Rig, machine, record_for, running
 from memory_cnc import MemoryNc
+from pydantic import BaseModel
 
 from config.loader import load_configuration
 from config.sample import sample_configuration
@@ -316,6 +317,21 @@ def test_certificates_that_end_soon_are_named_by_their_key(tmp_path: Path) -> No
     )
     late, _ = of_computer(configuration, AlarmsConfig(disk_free_percent=1e-9), (), time.time() + 3 * 86_400)
     assert "monitor.crt ended on 20" in late.text
+
+
+def test_a_folder_of_clients_that_cannot_be_read_keeps_no_other_alarm_away(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Section(BaseModel):
+        trusted_clients: Path
+        certificate: Path
+
+    def refused(_: Path) -> Iterator[Path]:
+        raise PermissionError
+
+    section = Section(trusted_clients=tmp_path, certificate=tmp_path / "server.der")
+    monkeypatch.setattr(Path, "iterdir", refused)
+    assert list(certificates(section)) == [("certificate", tmp_path / "server.der")]
 
 
 def test_a_disk_that_is_nearly_full_stays_so_until_there_is_clearly_more(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """What is wrong at a machine now, as its daemon, its disk and its certificates say."""
 
+import contextlib
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
@@ -170,8 +171,9 @@ def certificates(section: BaseModel, at: str = "") -> Iterator[tuple[str, Path]]
                     yield from certificates(each, f"{key}[{index}].")
         elif isinstance(value, Path) and name.endswith("certificate"):
             yield key, value
-        elif isinstance(value, Path) and name == "trusted_clients" and value.is_dir():
-            yield from ((f"{key} {each.name}", each) for each in sorted(value.iterdir()))
+        elif isinstance(value, Path) and name == "trusted_clients":
+            with contextlib.suppress(OSError):  # the daemon says what is wrong with its folders
+                yield from [(f"{key} {each.name}", each) for each in sorted(value.iterdir())]
 
 
 def _ends_utc_s(key: str, path: Path) -> float | None:
