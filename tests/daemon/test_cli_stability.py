@@ -277,6 +277,34 @@ def test_chatter_in_a_recording(tmp_path: Path, write: object) -> None:
         assert found["tooth_passing_hz"] == pytest.approx(400.0, abs=0.5)
 
 
+def test_the_picture_of_a_recording_is_called_after_it(tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "cut 7.csv", cut(2.0, 2.0))
+    answer("chatter", path, "--speed-rpm", 6000, "--teeth", 4, "--picture", tmp_path / "cut.html")
+    assert "<title>cut 7.csv</title>" in (tmp_path / "cut.html").read_text("utf-8")
+
+
+def test_roughness_of_a_profile_and_its_picture(tmp_path: Path) -> None:
+    """Two sines, at 4 and 6 mm deep: Ra of a sine is 2 / pi of its height."""
+    path, picture = tmp_path / "wall.csv", tmp_path / "wall.html"
+    position = np.arange(4000) * 0.001
+    rows = [
+        f"{at:.3f},{height * math.sin(2.0 * math.pi * at / 0.1):.5f},{depth}"
+        for depth, height in ((4, 1.0), (6, 5.0))
+        for at in position
+    ]
+    path.write_text("\n".join(["position_mm,height_um,depth_mm", *rows]) + "\n")
+    found = answer("roughness", path, "--picture", picture)["depths"]
+    assert [each["depth_mm"] for each in found] == [4.0, 6.0]
+    assert [each["ra_um"] for each in found] == pytest.approx([2.0 / math.pi, 10.0 / math.pi], rel=0.01)
+    text = picture.read_text("utf-8")
+    assert "<title>wall.csv</title>" in text and "4 mm" in text and "6 mm" in text
+    assert run("roughness", path).stderr.splitlines()[0].startswith("4 mm: Ra 0.63")
+    path.write_text(path.read_text().replace("0.002,", "0.002x,", 1))
+    assert f"{path}:4:" in refusal("roughness", path)
+    path.write_text("position_mm,height_um\n" + "\n".join(f"{0.1 * k:.1f},1.0" for k in range(5)))
+    assert refusal("roughness", path).startswith(str(path))
+
+
 def test_what_the_machine_has_without_the_cut_is_no_chatter(tmp_path: Path) -> None:
     """609 Hz at the same power in every recording: a gear mesh, as far as anybody can tell."""
     arguments = ("--speed-rpm", 6100, "--teeth", 4)

@@ -26,6 +26,7 @@ from daemon.workbench.dynamics.responses import frequencies as band
 from daemon.workbench.dynamics.responses import response, response_summary
 from models.dynamics.modes import natural_frequencies
 from models.dynamics.rotation import rotating_receptance, whirl_frequencies
+from models.dynamics.section import shear_coefficient
 
 SHARED = Path(os.environ.get("TOOLPOINT_SHARED", Path(__file__).parents[3] / "shared"))
 REFERENCE = SHARED / "reference"
@@ -58,6 +59,14 @@ def test_table_4_3_with_the_printed_rotary_inertia(name: str) -> None:
 @pytest.mark.parametrize("name", CORRECT)
 def test_the_correct_rotary_inertia_lowers_them(name: str) -> None:
     assert frequencies(name, "correct") == pytest.approx(CORRECT[name], rel=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("inner_m", "expected"), [(0.0, 6 * 1.3 / (7 + 6 * 0.3)), (1.0 - 1e-9, 2 * 1.3 / (4 + 3 * 0.3))]
+)
+def test_shear_coefficients_of_cowper(inner_m: float, expected: float) -> None:
+    """Cowper 1966: a full circle 6 (1 + nu) / (7 + 6 nu), a thin round tube 2 (1 + nu) / (4 + 3 nu)."""
+    assert shear_coefficient(1.0, inner_m, 0.3) == pytest.approx(expected, rel=1e-8)
 
 
 def test_steel_shaft_against_finite_elements_of_ross() -> None:

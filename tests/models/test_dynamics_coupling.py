@@ -8,6 +8,7 @@ import pytest
 from receptance_coupling import (
     couple_elastic,
     couple_rigid,
+    couple_sideways,
     ground,
     ground_stiffness,
     segment_receptance,
@@ -97,6 +98,17 @@ def test_elastic_coupling_against_lm_fbs(pair: tuple[ComplexArray, ComplexArray]
         soft = np.diag([1 / (1.25e8 + 1j * omega * 3.6e3), 1 / (8.6e5 + 1j * omega * 2.4e3)])
         expected = lm_fbs([first[index], second[index]], gap_between(6, 8), soft)
         assert found[index] == pytest.approx(expected, rel=1e-9, abs=1e-9 * abs(expected).max() * 1e-3)
+
+
+def test_sideways_coupling_against_lm_fbs() -> None:
+    places = [0.0, 0.03, 0.12]
+    inner = segment_receptance(tube(120, 60, 20), FREQUENCY_HZ, places)
+    outer = segment_receptance(tube(120, 75, 60), FREQUENCY_HZ, places)
+    found = couple_sideways(inner, outer)
+    boolean = np.hstack([np.eye(6), -np.eye(6)])
+    for index in range(len(FREQUENCY_HZ)):
+        whole = lm_fbs([inner[index], outer[index]], boolean, np.zeros((6, 6)))
+        assert found[index] == pytest.approx(whole[:6, :6], rel=1e-9, abs=1e-9 * abs(whole).max() * 1e-3)
 
 
 def test_grounding_against_lm_fbs(pair: tuple[ComplexArray, ComplexArray]) -> None:

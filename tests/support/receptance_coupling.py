@@ -89,6 +89,23 @@ def couple_elastic(
     return _joined(first, second, np.linalg.solve(np.eye(POINT) + stiffness @ flexible, stiffness))
 
 
+def couple_sideways(first: ComplexArray, second: ComplexArray) -> ComplexArray:
+    """Return two substructures side by side, each point of one tied to the same point of the other (C-5).
+
+    Parameters
+    ----------
+    first, second
+        Both of shape (n, 2 p, 2 p).
+
+    Returns
+    -------
+    ndarray
+        The same shape.
+
+    """
+    return first @ np.linalg.inv(first + second) @ second
+
+
 def ground(receptance: ComplexArray, stiffness: ComplexArray) -> ComplexArray:
     """Return a substructure whose points are tied to the ground (4-35, with K used directly).
 

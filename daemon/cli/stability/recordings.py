@@ -1,6 +1,7 @@
 """`toolpoint stability chatter` and `roughness`: what recordings of a cut say."""
 
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -109,13 +110,26 @@ def _show(part: dict[str, Any]) -> None:
 @click.command()
 @click.argument("profile_path", metavar="PROFILE.csv", type=FILE)
 @option("--cutoff-mm", type=POSITIVE, help="Cut-off of the Gaussian filter [mm]; without, the mean line only.")
+@picture_option
 @json_option
-def roughness(profile_path: Path, cutoff_mm: float | None, json_path: str | None) -> None:
+def roughness(profile_path: Path, cutoff_mm: float | None, picture: Path | None, json_path: str | None) -> None:
     """Roughness per depth of cut from a surface PROFILE (CSV with position_mm,height_um and, if any, depth_mm)."""
-    from daemon.workbench.stability.recordings import judge_profile
+    from daemon.workbench.stability.recordings import read_profile
+    from models.errors import StabilityError
+    from models.stability.roughness import roughness_per_depth
 
-    found = judge_profile(profile_path, cutoff_mm)
-    for entry in found:
-        place = "" if entry["depth_mm"] is None else f"{entry['depth_mm']:g} mm: "
-        say(f"{place}Ra {entry['ra_um']:.3g} um, Rz {entry['rz_um']:.3g} um")
-    write_json(json_path, {"depths": found})
+    table, with_depths = read_profile(profile_path)
+    try:
+        found = roughness_per_depth(table[:, 2], table[:, 0], table[:, 1], cutoff_mm)
+    except StabilityError as error:
+        refuse(f"{profile_path}: {error}")
+    names = {depth: f"{depth:g} mm" if with_depths else "" for depth in found}
+    for depth, each in found.items():
+        say(f"{names[depth]}: ".lstrip(": ") + f"Ra {each.ra_um:.3g} um, Rz {each.rz_um:.3g} um")
+    if picture is not None:
+        from daemon.workbench.stability.pictures import profile_picture
+
+        parts = [(name, table[table[:, 2] == depth, :2]) for depth, name in names.items()]
+        profile_picture(picture, parts, title=profile_path.name)
+    depths = [{"depth_mm": depth if with_depths else None, **asdict(each)} for depth, each in found.items()]
+    write_json(json_path, {"depths": depths})

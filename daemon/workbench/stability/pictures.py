@@ -1,4 +1,4 @@
-"""Pictures of lobes, responses and spectrograms."""
+"""Pictures of lobes, responses, spectrograms and surface profiles."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -97,4 +97,11 @@ def spectrogram_picture(
         unit="power density [dB re 1 (m/s²)²/Hz]",
     )  # fmt: skip
     axes = Axes(x_label="time [s]", y_label="frequency [Hz]", heat=heat, curves=curves)
-    save(path, Figure(title="Stability lobes", axes=[axes], heights=(620,)))
+    save(path, Figure(title=title, axes=[axes], heights=(620,)))
+
+
+def profile_picture(path: Path, profiles: Sequence[tuple[str, FloatArray]], *, title: str) -> None:
+    """Draw surface profiles, one for each depth: position [mm] and height [um], shape (n, 2) (Fig. 5-22)."""
+    curves = [Curve(x=points[:, 0], y=points[:, 1], label=name) for name, points in profiles]
+    axes = Axes(x_label="position [mm]", y_label="height [µm]", curves=curves)
+    save(path, Figure(title=title, axes=[axes]))

@@ -20,7 +20,6 @@ from models.stability.chatter import (
     detect_chatter,
     speed_warning,
 )
-from models.stability.roughness import roughness_per_depth
 from models.stability.signal_checks import check_clipping, check_length
 from models.stability.spectra import machine_spectrum, standing_spectrum, window_samples
 
@@ -135,8 +134,11 @@ PROFILE_COLUMNS = ("position_mm", "height_um")
 DEPTH_COLUMN = "depth_mm"
 
 
-def judge_profile(path: Path, cutoff_mm: float | None) -> list[dict[str, Any]]:
-    """Return the roughness per depth of a profile (CSV: position_mm,height_um[,depth_mm]); raises StabilityError."""
+def read_profile(path: Path) -> tuple[FloatArray, bool]:
+    """Return position [mm], height [um] and depth [mm] of a profile, shape (n, 3), and whether depths are given.
+
+    CSV with position_mm,height_um[,depth_mm]; raises StabilityError.
+    """
     with csv_rows(path, "profile") as reader:
         names = reader.fieldnames or []
         if missing := [name for name in PROFILE_COLUMNS if name not in names]:
@@ -144,15 +146,7 @@ def judge_profile(path: Path, cutoff_mm: float | None) -> list[dict[str, Any]]:
         rows = [_profile_row(path, number, reader, row) for number, row in enumerate(reader, start=2)]
     if not rows:
         raise StabilityError(f"{path}: holds no points after its header")
-    table = np.array(rows)
-    try:
-        found = roughness_per_depth(table[:, 2], table[:, 0], table[:, 1], cutoff_mm)
-    except StabilityError as error:
-        raise StabilityError(f"{path}: {error}") from None
-    return [
-        {"depth_mm": depth if DEPTH_COLUMN in names else None, **asdict(roughness)}
-        for depth, roughness in found.items()
-    ]
+    return np.array(rows), DEPTH_COLUMN in names
 
 
 def _profile_row(
