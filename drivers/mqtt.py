@@ -16,7 +16,7 @@ from config.schema.source_sections import MqttBroker, MqttTopic
 from config.secret_files import SecretError, read_secret
 from drivers.clock import Clock
 from drivers.contract import FatalDriverError, LinkError
-from drivers.json_fields import number_of, readings_in
+from drivers.json_fields import number_in, number_of, readings_in
 from drivers.pushing import MOST_WAITING, PushedSource
 from drivers.readings import NoReading
 from models.quality import Reason
@@ -136,7 +136,9 @@ def numbers_in(payload: Any, fields: Mapping[int | str, str]) -> dict[int | str,
     try:
         value = json.loads(content)
     except (ValueError, RecursionError):
-        return dict.fromkeys(fields, _unreadable(content))
+        value = number_in(content.decode("latin-1"), None)
+        if value is None:
+            return dict.fromkeys(fields, _unreadable(content))
     return readings_in(value, fields)
 
 

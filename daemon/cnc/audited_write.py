@@ -26,6 +26,9 @@ Expected = Mapping[int, tuple[float | None, ...]]
 LOOK_LASTS_S = 0.02
 """What was looked at before the write was decided on counts for so long [s of the wall clock], and only if nothing
 else was asked of the control since."""
+LATE_LOOKS, LATE_LOOK_S = 20, 0.05
+"""A gateway acknowledges a value, and shows it when it has passed it on: it is looked for so often, so far apart [s of
+the wall clock]."""
 
 
 class ForeignValueError(NotSentError):
@@ -104,13 +107,12 @@ class AuditedWriter:
         try:
             if write.commit_s is not None:
                 await self._committed(intent, write.commit_s)
-            write.sending(await self._compare(write.expected))
+            before = await self._compare(write.expected)
+            write.sending(before)
             unsent = False
             await self.cnc.write_macros(write.groups)
             trace = replace(trace, written=self.clock.now())
-            found = await self.cnc.read_macros(
-                tuple(dict.fromkeys((*(number for number, _ in macros), *write.also_read)))
-            )
+            found = await self._read_back(write, before)
             trace = replace(trace, read_back=self.clock.now())
         except BaseException as error:
             refused = isinstance(error, NotSentError) or (unsent and isinstance(error, FatalDriverError))
@@ -123,6 +125,17 @@ class AuditedWriter:
         problems += write.judge(found)
         outcome = WriteOutcome.DIFFERS if problems else WriteOutcome.VERIFIED
         return self._conclude(write, intent, outcome, "; ".join(problems), found, trace)
+
+    async def _read_back(self, write: MacroWrite, before: MacroValues) -> MacroValues:
+        """Return what the control holds now; what still stands there from before may come in a moment."""
+        numbers = tuple(dict.fromkeys((*(number for number, _ in write.macros), *write.also_read)))
+        for _ in range(LATE_LOOKS):
+            found = await self.cnc.read_macros(numbers)
+            late = [each for each, value in write.macros if self.block.differences({each: (value,)}, found)]
+            if not late or any(each not in before or before[each] != found.get(each) for each in late):
+                break
+            await asyncio.sleep(LATE_LOOK_S)
+        return found
 
     async def _committed(self, intent: WriteId, commit_s: float) -> None:
         try:

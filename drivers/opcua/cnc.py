@@ -8,15 +8,23 @@ library reports a frozen peer as connected.
 import asyncio
 import logging
 import math
-from collections.abc import Coroutine, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NoReturn, TypeVar
 
 from asyncua import ua
 from asyncua.client.client import Client
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256, SecurityPolicyNone
 from asyncua.ua.status_codes import StatusCodes
-from asyncua.ua.uaerrors import UaError, UaStatusCodeError
+from asyncua.ua.uaerrors import (
+    BadEncodingLimitsExceeded,
+    BadRequestTooLarge,
+    BadResponseTooLarge,
+    BadTooManyOperations,
+    UaError,
+    UaStatusCodeError,
+)
 from cryptography.exceptions import InvalidSignature
 
 from config.schema.cnc import CncConfig
@@ -34,7 +42,8 @@ from drivers.contract import (
 from drivers.opcua.bounded import bounded_client
 from drivers.opcua.certificates import OpcUaCredentials, chain_thumbprint, load_credentials, thumbprint
 from drivers.opcua.log import limit_library_log
-from drivers.opcua.services import UNREADABLE, Services, encode_read
+from drivers.opcua.services import UNREADABLE, Answer, Services, encode_read
+from drivers.opcua.sinumerik import TEXTS, sinumerik_map
 from drivers.opcua.variables import FANUC_NODES, LIMITS, NodeMap, Variables, at_once
 from models.records import CncSample
 
@@ -45,6 +54,8 @@ SESSION_TIMEOUT_MS = 60_000
 """A CNC keeps an abandoned session this long; few sessions are all that it offers."""
 RENEW_AT = 0.75
 """Share of the secure channel's lifetime after which it is renewed (OPC 10000-4, 5.5.2.1)."""
+TOO_MUCH = (BadTooManyOperations, BadRequestTooLarge, BadResponseTooLarge, BadEncodingLimitsExceeded)
+"""What a server says that answers fewer values in one request."""
 CONNECTING, RENEWING = "connecting", "renewing the secure channel"
 REFUSALS = {
     StatusCodes.BadUserAccessDenied: "refuses the user name or password",
@@ -81,10 +92,8 @@ AWAY = frozenset(
 def node_map(config: CncConfig) -> NodeMap:
     """Return the preset's map with the identifiers that the configuration gives."""
     opcua = config.connection_as(OpcUaConfig)
-    found = NodeMap(nodes=FANUC_NODES if opcua.preset == "fanuc" else {})
+    found = NodeMap(nodes=FANUC_NODES if opcua.preset == "fanuc" else {}, texts=TEXTS)
     if opcua.preset == "sinumerik":
-        from drivers.opcua.sinumerik import sinumerik_map
-
         found = sinumerik_map(config.guard.shown)
     given = {} if opcua.nodes is None else opcua.nodes.model_dump(exclude_none=True)
     nodes = {**found.nodes, **given}
@@ -129,8 +138,8 @@ class OpcUaCnc:
         services, variables = self._connected()
         if self._clock.now().real_s >= self._renew_at_s and self._client is not None:
             await self._call(RENEWING, self._renew(self._client))
-        requests = variables.read_requests(macros, state=True)
-        answers = await self._call("reading", services.read(requests))
+        wanted = partial(variables.read_requests, macros, state=True)
+        answers = await self._call("reading", self._read(services, variables, wanted))
         sample = variables.sample(self._clock.now(), macros, answers)
         if stands := self._watch.stands_still(sample):
             self._lose(stands)
@@ -139,8 +148,8 @@ class OpcUaCnc:
     async def read_macros(self, macros: Sequence[int]) -> dict[int, float | None]:
         """Read macro variables; None where a variable is vacant."""
         services, variables = self._connected()
-        requests = variables.read_requests(macros, state=False)
-        answers = await self._call("reading macro variables", services.read(requests))
+        wanted = partial(variables.read_requests, macros, state=False)
+        answers = await self._call("reading macro variables", self._read(services, variables, wanted))
         return variables.macro_values(macros, answers)
 
     async def write_macros(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
@@ -151,8 +160,7 @@ class OpcUaCnc:
         """
         refuse_forbidden(groups, self._config, self.security)
         services, variables = self._connected()
-        requests = [request for group in groups for request in variables.write_requests(group)]
-        await self._call("writing macro variables", self._write(services, requests))
+        await self._call("writing macro variables", self._write(services, variables, groups))
 
     async def close(self) -> None:
         """Close the session, the channel and the socket; never raises, never waits longer than the time-out."""
@@ -237,7 +245,7 @@ class OpcUaCnc:
         most = at_once(await services.read([encode_read([node]) for node in LIMITS]))
         variables = Variables(node_map(self._config), namespaces.index(uri), self._config.axis_positions, most)
         block = self._config.macros.block
-        answers = await services.read(variables.read_requests(block, state=True))
+        answers = await self._read(services, variables, partial(variables.read_requests, block, state=True))
         sample = variables.sample(self._clock.now(), block, answers)
         self._watch.stands_still(sample)
         measured = {"spindle_speed": sample.spindle_speed_rpm, "motor_temperature": sample.motor_temperature_degc}
@@ -251,15 +259,45 @@ class OpcUaCnc:
             self.cannot.setdefault(Capability.AXIS_POSITION, why)
         return variables
 
-    async def _write(self, services: Services, requests: Sequence[tuple[Sequence[tuple[int, float]], bytes]]) -> None:
-        for group, request in requests:
-            statuses = await services.write(request)
-            if len(statuses) != len(group):
-                raise LinkError(f"{self._endpoint} answered {len(statuses)} statuses to {len(group)} writes")
-            for (number, value), code in zip(group, statuses, strict=True):
-                if code != 0 and not (status := ua.StatusCode(ua.UInt32(code))).is_good():
-                    text = f"the CNC refused macro variable #{number} = {value!r}: {status.name}, {status.doc}"
-                    raise LinkError(text) if code in AWAY else FatalDriverError(text)
+    async def _read(
+        self, services: Services, variables: Variables, wanted: Callable[[], Sequence[bytes]]
+    ) -> list[Answer]:
+        """Return what is wanted, in as many requests as the server needs: not every one tells how much it takes."""
+        while True:
+            try:
+                return await services.read(wanted())
+            except TOO_MUCH:
+                if not variables.ask_less():
+                    raise
+
+    async def _write(
+        self, services: Services, variables: Variables, groups: Sequence[Sequence[tuple[int, float]]]
+    ) -> None:
+        every = [pair for group in groups for pair in group]
+        if unknown := variables.of_unknown_type(number for number, _ in every):
+            types = await self._read(services, variables, partial(variables.type_requests, unknown))
+            variables.learn_types(unknown, types)
+        variables.check_fit(every, self._config.macros.tolerance)
+        for group in groups:
+            left = group
+            while left:
+                part, request = variables.write_request(left)
+                try:
+                    statuses = await services.write(request)
+                except TOO_MUCH:  # and nothing of it was written
+                    if not variables.ask_less():
+                        raise
+                    continue
+                self._check_written(part, statuses)
+                left = left[len(part) :]
+
+    def _check_written(self, part: Sequence[tuple[int, float]], statuses: Sequence[int]) -> None:
+        if len(statuses) != len(part):
+            raise LinkError(f"{self._endpoint} answered {len(statuses)} statuses to {len(part)} writes")
+        for (number, value), code in zip(part, statuses, strict=True):
+            if code != 0 and not (status := ua.StatusCode(ua.UInt32(code))).is_good():
+                text = f"the CNC refused macro variable #{number} = {value!r}: {status.name}, {status.doc}"
+                raise LinkError(text) if code in AWAY else FatalDriverError(text)
 
     def _schedule_renewal(self, client: Client) -> None:
         lifetime_s = client.secure_channel_timeout / 1000

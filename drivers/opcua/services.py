@@ -47,10 +47,9 @@ REQUEST_HEADER = struct.Struct("<qIIiI3s")
 NO_ADDITION = bytes(3)
 RESPONSE_HEADER = struct.Struct("<4sqIIBi3si")
 """Type, time, handle, result, no diagnostics, no texts, no additional header; then the number of results."""
-VARIABLE = struct.Struct("<BBd")
-"""A DataValue with a value alone, which is a Double."""
 WITH_VALUE, WITH_STATUS = 1, 2
-NULL, DOUBLE, STRING = 0, 11, 12
+NULL, FLOAT, DOUBLE, STRING = 0, 10, 11, 12
+"""Built-in types of a value, in which most servers take no other than the variable's own."""
 LENGTH = struct.Struct("<i")
 STATUS = struct.Struct("<I")
 NUMBERS = {kind: struct.Struct("<" + code) for kind, code in enumerate("?bBhHiIqQfd", start=1)}
@@ -71,9 +70,9 @@ EPOCH_100NS = 116_444_736_000_000_000
 """1970-01-01 in the time of OPC UA, which counts steps of 100 ns from 1601."""
 
 
-def encode_read(nodes: Sequence[ua.NodeId]) -> bytes:
-    """Return the parameters of a request that reads the values of these nodes, without time stamps."""
-    wanted = [ua.ReadValueId(NodeId=node, AttributeId=AttributeIds.Value) for node in nodes]
+def encode_read(nodes: Sequence[ua.NodeId], attribute: AttributeIds = AttributeIds.Value) -> bytes:
+    """Return the parameters of a request that reads an attribute of these nodes, without time stamps."""
+    wanted = [ua.ReadValueId(NodeId=node, AttributeId=attribute) for node in nodes]
     parameters = ua.ReadParameters(TimestampsToReturn=ua.TimestampsToReturn.Neither, NodesToRead=wanted)
     encoded: bytes = struct_to_binary(parameters)
     return encoded
@@ -85,10 +84,22 @@ def encode_target(node: ua.NodeId) -> bytes:
     return item[: -len(struct_to_binary(NOTHING))]
 
 
-def encode_write(values: Sequence[tuple[bytes, float]]) -> bytes:
-    """Return the parameters of a request that writes doubles. Only values travel: many CNCs refuse status and time."""
-    items = [target + VARIABLE.pack(WITH_VALUE, DOUBLE, value) for target, value in values]
+def encode_write(values: Sequence[tuple[bytes, bytes]]) -> bytes:
+    """Return the parameters of a request that writes numbers. Only values travel: many CNCs refuse status and time."""
+    items = [target + bytes((WITH_VALUE,)) + value for target, value in values]
     return struct.pack("<i", len(items)) + b"".join(items)
+
+
+def encode_number(value: float, kind: int = DOUBLE) -> tuple[bytes, float]:
+    """Return a number as a value of a built-in type, and what that holds of it; raises ValueError where it cannot."""
+    number = NUMBERS.get(kind)
+    if number is None:
+        raise ValueError(f"{kind} is no type of a number")
+    try:
+        content = number.pack(value if kind in (FLOAT, DOUBLE) else round(value))
+    except (struct.error, OverflowError) as error:
+        raise ValueError(f"{value!r} is out of range") from error
+    return bytes((kind,)) + content, float(number.unpack(content)[0])
 
 
 def decode_read(body: bytes) -> list[Answer]:

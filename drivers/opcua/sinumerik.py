@@ -7,9 +7,10 @@ parameters. Identifiers are from the vendor's manuals and from programs that use
 
 import re
 import zlib
+from collections.abc import Mapping
 
 from config.schema.guard import VACANT_R
-from drivers.opcua.variables import NodeMap
+from drivers.opcua.variables import NodeMap, Reading
 from models.records import CncMode, CncRun
 
 R_PARAMETER = "s=/Channel/Parameter/R[u1,{number}]"
@@ -25,7 +26,8 @@ NAMED = 1_900_000_000
 _PROGRAM = re.compile(r"(?:_N_)?(.*?)(?:[._][MS]PF)?", re.IGNORECASE)
 _NUMBERED = re.compile(r"(?:O|TP)?([1-9]\d{0,7})")
 _BLOCK = re.compile(r"[N:](\d{1,9})")
-_OFFSET = re.compile(r"G(\d{2,3})")
+_OFFSET = re.compile(r"G(\d{2,3}(?:\.\d)?)(?:\s*P(\d{1,3}))?")
+_TOOL = re.compile(r"T?\s*(\d{1,8})")
 
 
 def sinumerik_map(shown: int) -> NodeMap:
@@ -65,7 +67,7 @@ def program_number(path: str) -> float:
     numbered = _NUMBERED.fullmatch(bare.upper())
     if numbered and folder.strip("/").upper() in NUMBERED_IN:
         return float(numbered[1])
-    return float(FIRST_NAMED + zlib.crc32(path.upper().encode()) % NAMED) if path else 0.0
+    return _named(path)
 
 
 def block_number(text: str) -> float:
@@ -79,7 +81,27 @@ def block_number(text: str) -> float:
 
 
 def offset_number(text: str) -> float:
-    """Return 54 for G54, 500 for G500 and so on; raises ValueError for anything else."""
+    """Return 54 for G54, 500 for G500, 541003 for G54.1 P3 and so on; raises ValueError for anything else."""
     if match := _OFFSET.fullmatch(text.strip().upper()):
-        return float(match[1])
+        code = float(match[1])
+        return code if match[2] is None else round(code * 10) * 1000 + float(match[2])
     raise ValueError("an active work offset (G500, G54 to G57, G505 ...) was expected")
+
+
+def tool_number(name: str) -> float:
+    """Return the number of a tool; of one with a name a check sum, 0 for none."""
+    match = _TOOL.fullmatch(name.strip().upper())
+    return float(match[1]) if match else _named(name.strip())
+
+
+def _named(name: str) -> float:
+    return float(FIRST_NAMED + zlib.crc32(name.upper().encode()) % NAMED) if name else 0.0
+
+
+TEXTS: Mapping[str, Reading] = {
+    "program": program_number,
+    "sequence_number": lambda text: block_number("N" + text.strip().lstrip("Nn:")),
+    "work_offset": lambda text: offset_number("G" + text.strip().lstrip("Gg")),
+    "tool_number": tool_number,
+}
+"""What texts mean where another control has them in place of numbers."""

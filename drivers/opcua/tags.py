@@ -9,13 +9,7 @@ from asyncua import ua
 from asyncua.client.client import Client
 from asyncua.common.node import Node
 from asyncua.ua.attribute_ids import AttributeIds
-from asyncua.ua.uaerrors import (
-    BadEncodingLimitsExceeded,
-    BadRequestTooLarge,
-    BadResponseTooLarge,
-    BadTooManyOperations,
-    UaError,
-)
+from asyncua.ua.uaerrors import UaError
 
 from config.schema.cnc_drivers import OpcUaSecurityConfig
 from config.schema.source_drivers import SourceEntry
@@ -25,7 +19,7 @@ from drivers.contract import FatalDriverError, LinkError
 from drivers.json_fields import number_of
 from drivers.opcua.bounded import bounded_client
 from drivers.opcua.certificates import load_credentials
-from drivers.opcua.cnc import abort, cancelled_plainly, secure
+from drivers.opcua.cnc import TOO_MUCH, abort, cancelled_plainly, secure
 from drivers.opcua.log import limit_library_log
 from drivers.opcua.services import UNREADABLE
 from drivers.polling import PolledSource
@@ -33,8 +27,6 @@ from drivers.readings import NoReading, Readings
 from models.quality import Reason
 
 AT_ONCE = 1000
-TOO_MUCH = (BadTooManyOperations, BadRequestTooLarge, BadResponseTooLarge, BadEncodingLimitsExceeded)
-"""What a server says that answers fewer values in one request."""
 NOT_MEASURED = 0xFFFF_0300
 """Bits of a status that say more than good: severity and subcode, as of a value that a person has put in place of the
 sensor's (GoodLocalOverride), and that the value stands at a limit (OPC 10000-4, 7.39)."""

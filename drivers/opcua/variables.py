@@ -1,17 +1,19 @@
 """The CNC's variables in its OPC UA address space: their node ids, and what their values mean."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from asyncua import ua
+from asyncua.ua.attribute_ids import AttributeIds
 from asyncua.ua.status_codes import StatusCodes
 from asyncua.ua.uaerrors import UaError
 
 from config.schema.cnc import AxisPositionConfig
-from drivers.contract import MODES, RUNS, Capability, FatalDriverError, LinkError, position_mm
-from drivers.opcua.services import Answer, encode_read, encode_target, encode_write
+from drivers.contract import MODES, RUNS, Capability, FatalDriverError, LinkError, NotSentError, position_mm
+from drivers.json_fields import number_in
+from drivers.opcua.services import DOUBLE, STRING, Answer, encode_number, encode_read, encode_target, encode_write
 from models.records import CncMode, CncRun, CncSample, Instant
 
 STATE_NODES = (
@@ -34,6 +36,8 @@ MEASURED = frozenset({"spindle_speed", "motor_temperature"})
 AT_ONCE = 1000
 LIMITS = (ua.NodeId(ua.Int32(11705)), ua.NodeId(ua.Int32(11707)))
 """Nodes of every server that say how many nodes it reads and writes in one request."""
+BUILT_IN = frozenset(range(1, STRING + 1))
+"""Types of which it is known whether they hold a number (OPC 10000-6, 5.1.2)."""
 VACANT = frozenset(
     {
         StatusCodes.BadNoData,
@@ -93,7 +97,8 @@ class Variables:
         self._namespace_index = namespace
         self._macro_pattern = found.nodes["macro"]
         self._macros: dict[int, ua.NodeId] = {}
-        self._targets: dict[int, bytes] = {}
+        self._targets: dict[int, tuple[bytes, int]] = {}
+        """Of a macro variable that is written: what names it in a request, and the type that it takes."""
         self._keys = tuple(key for key in STATE_NODES if key in found.nodes)
         self._texts = [found.nodes[key] for key in self._keys]
         self._state = [self._node_id(key, text) for key, text in zip(self._keys, self._texts, strict=True)]
@@ -129,15 +134,51 @@ class Variables:
             self._reads[key] = tuple(encode_read(nodes[first : first + self._most]) for first in parts)
         return self._reads[key]
 
-    def write_requests(self, group: Sequence[tuple[int, float]]) -> list[tuple[Sequence[tuple[int, float]], bytes]]:
-        """Return the parameters that write one group, by request, each with what it writes."""
-        parts = [group[first : first + self._most] for first in range(0, len(group), self._most)]
-        return [(part, encode_write([(self._target(each), float(value)) for each, value in part])) for part in parts]
+    def ask_less(self) -> bool:
+        """Put half as much into a request; False where that is one variable already."""
+        self._reads.clear()
+        before, self._most = self._most, (self._most + 1) // 2
+        return self._most < before
 
-    def _target(self, number: int) -> bytes:
-        if number not in self._targets:
-            self._targets[number] = encode_target(self._macro_node_id(number))
-        return self._targets[number]
+    def of_unknown_type(self, macros: Iterable[int]) -> list[int]:
+        """Return those macro variables of which it is not known what they take."""
+        return [number for number in dict.fromkeys(macros) if number not in self._targets]
+
+    def type_requests(self, macros: Sequence[int]) -> list[bytes]:
+        """Return the parameters that read the types of macro variables, by request."""
+        nodes = [self._macro_node_id(number) for number in macros]
+        parts = range(0, len(nodes), self._most)
+        return [encode_read(nodes[first : first + self._most], AttributeIds.DataType) for first in parts]
+
+    def learn_types(self, macros: Sequence[int], answers: Sequence[Answer]) -> None:
+        """Take what a server says of types; a variable that tells no built-in one takes a Double."""
+        if len(answers) != len(macros):
+            raise LinkError(f"the CNC answered {len(answers)} types to a request for {len(macros)} macro variables")
+        for number, answer in zip(macros, answers, strict=True):
+            told = answer.value
+            built_in = isinstance(told, ua.NodeId) and told.NamespaceIndex == 0 and told.Identifier in BUILT_IN
+            self._targets[number] = encode_target(self._macro_node_id(number)), told.Identifier if built_in else DOUBLE
+
+    def check_fit(self, macros: Iterable[tuple[int, float]], tolerance: float) -> None:
+        """Raise NotSentError for a value that a macro variable of its type cannot hold."""
+        for number, value in macros:
+            kind = self._targets[number][1]
+            try:
+                fits = abs(encode_number(value, kind)[1] - value) <= tolerance
+            except ValueError:
+                fits = False
+            if not fits:
+                raise NotSentError(
+                    f"macro variable #{number} cannot hold {value!r}: in the server it is of type "
+                    f"{ua.VariantType(kind).name}; name one of type Double (cnc.macros, cnc.opcua.nodes.macro); "
+                    "nothing was sent"
+                )
+
+    def write_request(self, group: Sequence[tuple[int, float]]) -> tuple[Sequence[tuple[int, float]], bytes]:
+        """Return as much of a group as goes into one request, and the parameters that write it."""
+        part = group[: self._most]
+        targets = ((*self._targets[number], value) for number, value in part)
+        return part, encode_write([(target, encode_number(value, kind)[0]) for target, kind, value in targets])
 
     def sample(self, time: Instant, macros: Sequence[int], answers: Sequence[Answer]) -> CncSample:
         """Return what the answers to a read of state and macros say; raises LinkError or FatalDriverError."""
@@ -229,6 +270,8 @@ def _whole(key: str, value: float) -> int:
 
 def _number(name: str, answer: Answer) -> float:
     value: Any = answer.value
+    if isinstance(value, str):
+        value = number_in(value, value)
     if value is None:
         return math.nan
     if not isinstance(value, (bool, int, float)):

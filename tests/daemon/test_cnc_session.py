@@ -1,14 +1,17 @@
 """One connected CNC: what is accepted as ours, and what the audit says of a write."""
 
+import asyncio
 import contextlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from control_rig import ENABLE, SEQUENCE_A, SEQUENCE_B, HandClock, Z, machine
 from memory_cnc import MemoryNc
+from scripted_machine import GROUPS, ScriptedMacros, ScriptedNc, cnc_config
 
-from daemon.cnc.audited_write import AuditedWriter
+from daemon.cnc.audited_write import AuditedWriter, ForeignValueError, MacroWrite
 from daemon.cnc.limits import output_limits
 from daemon.cnc.macro_block import LAST_SEQUENCE, MacroBlock
 from daemon.cnc.session import CncSession
@@ -17,7 +20,10 @@ from daemon.history import HistoryReader
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.telemetry.metrics import Telemetry
+from drivers.clock import SystemClock
 from drivers.contract import FatalDriverError, LinkError
+from drivers.opcua.cnc import OpcUaCnc
+from drivers.sim.wires.opcua_server import SimulatedCncServer
 from models.records import CompensationCommand, OutputState, Trace, WriteOutcome
 
 AXES = ("x", "y", "z")
@@ -168,3 +174,32 @@ async def test_a_value_that_is_not_kept_is_seen_in_the_read_back(desk):
     assert receipt.outcome is WriteOutcome.DIFFERS and f"#{Z} holds 0" in receipt.detail
     assert session.acknowledge() == []
     assert await session.poll() == [], "acknowledged: what the control holds is known now"
+
+
+class LateMacros(ScriptedMacros):
+    """What is written stands there a while later, as behind a gateway that answers from its memory."""
+
+    def set(self, number: int, value: float | None) -> None:
+        asyncio.get_running_loop().call_later(0.2, super().set, number, value)
+
+
+@pytest.mark.wires
+async def test_a_value_that_a_gateway_acknowledges_and_shows_a_moment_later_is_no_other_value(desk):
+    nc = ScriptedNc()
+    nc.macros = LateMacros()
+    server = SimulatedCncServer(nc, cnc_config(), port=0)
+    await server.start()
+    cnc = OpcUaCnc(cnc_config(server.endpoint), SystemClock())
+    await cnc.connect()
+    block = MacroBlock(macros := cnc_config().macros, tuple(macros.values), {})
+    writer = AuditedWriter(cnc, block, SystemClock(), desk.history, Telemetry())
+    expected = {number: (None,) for group in GROUPS for number, _ in group}
+    now = SystemClock().now()
+    write = MacroWrite(groups=GROUPS, expected=expected, cause="tick", trace=Trace(first_byte=now, last_byte=now))
+    receipt = await writer.write(write)
+    assert (receipt.outcome, receipt.detail) == (WriteOutcome.VERIFIED, "")
+    nc.macros.values[503] = 0.5
+    with pytest.raises(ForeignValueError, match=r"#503 holds 0\.5"):
+        await writer.write(replace(write, expected=expected | {503: (0.0105,)}))
+    await cnc.close()
+    await server.stop()

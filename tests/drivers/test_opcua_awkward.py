@@ -145,17 +145,21 @@ async def test_a_server_that_does_not_say_at_a_session_what_it_is_is_asked(
 
 @on_wires
 @pytest.mark.parametrize("takes", [1, 4])
+@pytest.mark.parametrize("tells", [True, False])
 async def test_a_control_that_takes_few_nodes_at_once_is_read_and_written_in_parts(
-    server: SimulatedCncServer, habits: Habits, takes: int
+    server: SimulatedCncServer, habits: Habits, takes: int, tells: bool
 ) -> None:
     cnc = OpcUaCnc(cnc_config(server.endpoint), SystemClock())
-    habits.takes, habits.tells = takes, True
+    habits.takes, habits.tells = takes, tells
     await cnc.connect()
     values = {number: number / 1000.0 for number in range(501, 506)}
     await cnc.write_macros([[(500, 1.0)], list(values.items())])
     sample = await cnc.read([500, *values])
     assert sample.macros == {500: 1.0} | values
     assert (sample.program, sample.tool_number, await cnc.read_macros(list(values))) == (1000, 3, values)
+    habits.takes = 1
+    await cnc.write_macros([list(values.items())])
+    assert await cnc.read_macros(list(values)) == values, "less than before"
     await cnc.close()
 
 

@@ -17,6 +17,7 @@ from drivers.opcua.services import (
     Answer,
     decode_read,
     decode_write,
+    encode_number,
     encode_read,
     encode_target,
     encode_write,
@@ -80,7 +81,9 @@ def test_a_read_is_what_the_library_would_send() -> None:
 
 def test_a_write_is_what_the_library_would_send() -> None:
     values = [0.0, -0.0105, 1e9, 29_813.0]
-    parameters = encode_write([(encode_target(node), value) for node, value in zip(NODES, values, strict=True)])
+    parameters = encode_write(
+        [(encode_target(node), encode_number(value)[0]) for node, value in zip(NODES, values, strict=True)]
+    )
     items = [
         ua.WriteValue(
             NodeId=node,

@@ -311,6 +311,16 @@ def test_any_message_gives_numbers_or_a_reason(payload: Any) -> None:
             assert isinstance(reading, float) or (reading.reason == Reason.UNREADABLE and reading.why)
 
 
+@pytest.mark.parametrize(
+    "payload", [b"21.5", b"+21.5", b"021.50", b' "21.5"', b"21.5\r\n\0", b"2.15e1", b"\xef\xbb\xbf21.5"]
+)
+def test_a_number_is_one_however_a_device_writes_it(payload: bytes) -> None:
+    assert numbers_in(payload, {7: ""}) == {7: 21.5}
+    assert numbers_in(b'{"T": %s}' % json.dumps(payload.decode("utf-8-sig").strip(' "')).encode(), {7: "T"}) == {
+        7: 21.5
+    }
+
+
 class StillClock(SystemClock):
     """A clock that a test moves."""
 
@@ -487,7 +497,10 @@ async def test_a_second_device_at_the_broker_is_told(broker: int, tmp_path: Path
         (ua.DataValue(ua.Variant(21.5, ua.VariantType.Double)), 21.5),
         (ua.DataValue(ua.Variant(21, ua.VariantType.Int16)), 21.0),
         (ua.DataValue(ua.Variant(True, ua.VariantType.Boolean)), Reason.UNREADABLE),
-        (ua.DataValue(ua.Variant("21.5", ua.VariantType.String)), Reason.UNREADABLE),
+        (ua.DataValue(ua.Variant("21.5", ua.VariantType.String)), 21.5),
+        (ua.DataValue(ua.Variant("21,5", ua.VariantType.String)), Reason.UNREADABLE),
+        (ua.DataValue(ua.Variant("0x15", ua.VariantType.String)), Reason.UNREADABLE),
+        (ua.DataValue(ua.Variant("nan", ua.VariantType.String)), Reason.UNREADABLE),
         (ua.DataValue(ua.Variant([21.5], ua.VariantType.Double)), Reason.UNREADABLE),
         (ua.DataValue(ua.Variant(None, ua.VariantType.Null)), Reason.NOT_RECEIVED),
         (ua.DataValue(None), Reason.NOT_RECEIVED),

@@ -30,7 +30,7 @@ from scripted_machine import (
 )
 
 from drivers.clock import SystemClock
-from drivers.contract import FatalDriverError, LinkError
+from drivers.contract import FatalDriverError, LinkError, NotSentError
 from drivers.opcua.cnc import OpcUaCnc
 from drivers.sim.wires.opcua_server import SimulatedCncServer
 from models.records import CncMode, CncRun
@@ -122,7 +122,9 @@ class NodeServer:
 
 
 @pytest.fixture
-async def node_server(node_environment: dict[str, str], keys: Keys, tmp_path: Path) -> AsyncIterator[NodeServer]:
+async def node_server(
+    request: pytest.FixtureRequest, node_environment: dict[str, str], keys: Keys, tmp_path: Path
+) -> AsyncIterator[NodeServer]:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -140,7 +142,10 @@ async def node_server(node_environment: dict[str, str], keys: Keys, tmp_path: Pa
         "namespace": NAMESPACE,
         "macros": [number for group in GROUPS for number, _ in group],
         "echo": echo,
-    }
+        "macroTypes": {},
+        "state": {},
+        "takes": 0,
+    } | getattr(request, "param", {})
     server = NodeServer(await start("server.js", options, node_environment), "")
     server.endpoint = await server.line("opc.tcp://")
     yield server
@@ -189,6 +194,38 @@ async def test_driver_against_node_opcua_as_server(node_server: NodeServer, keys
     with pytest.raises(LinkError):
         await lost.read([])
     await lost.close()
+
+
+OTHER_TYPES: dict[str, Any] = {
+    "macroTypes": {"500": "UInt16", "501": "Float", "502": "Float", "504": "Int32", "505": "Boolean", "506": "Int64"},
+    "state": {
+        "Mode": ["Byte", 1],
+        "Alarm": ["Boolean", True],
+        "Program": ["String", "O1000"],
+        "SequenceNumber": ["String", "N20"],
+        "WorkOffset": ["String", "G54.1 P3"],
+        "ToolNumber": ["String", "T3"],
+        "PowerOnCount": ["UInt64", [0, 7]],
+    },
+}
+
+
+@pytest.mark.parametrize("node_server", [OTHER_TYPES, OTHER_TYPES | {"takes": 3}], indirect=True, ids=["all", "three"])
+async def test_variables_of_other_types_are_read_and_written_in_their_own(node_server: NodeServer, keys: Keys) -> None:
+    """As gateways have them, who refuse a Double for a Float with BadTypeMismatch."""
+    cnc = OpcUaCnc(cnc_config(node_server.endpoint, security=keys.client_config()), SystemClock())
+    await cnc.connect()
+    sample = await cnc.read([])
+    assert (sample.mode, sample.alarm, sample.program, sample.sequence_number) == (CncMode.MEMORY, True, 1000, 20)
+    assert (sample.work_offset, sample.tool_number, sample.power_on_count) == (541_003, 3, 7)
+    await cnc.write_macros(GROUPS)
+    found = await cnc.read_macros([number for group in GROUPS for number, _ in group])
+    assert found == pytest.approx({number: value for group in GROUPS for number, value in group}, abs=1e-9)
+    for number, value, kind in ((504, 0.5, "Int32"), (501, 16_777_217.0, "Float"), (500, -1.0, "UInt16")):
+        with pytest.raises(NotSentError, match=rf"#{number} cannot hold {value!r}: in the server it is of type {kind}"):
+            await cnc.write_macros([[(503, 0.5)], [(number, value)]])
+    assert await cnc.read_macros([503]) == {503: 0.0105}, "nothing was sent"
+    await cnc.close()
 
 
 @pytest.mark.parametrize("mode", ["Sign", "SignAndEncrypt"])

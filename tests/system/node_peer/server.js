@@ -4,7 +4,9 @@
 // The library itself prints warnings among these lines.
 //
 //   node server.js '{"port": ..., "certificate": ..., "privateKey": ..., "applicationUri": ..., "pki": ...,
-//                    "trusted": ..., "user": ..., "password": ..., "namespace": ..., "macros": [...], "echo": [...]}'
+//                    "trusted": ..., "user": ..., "password": ..., "namespace": ..., "macros": [...], "echo": [...],
+//                    "macroTypes": {"501": "Float"}, "state": {"Program": ["String", "O1000"]},
+//                    "takes": nodes in one request, 0 without a limit}'
 "use strict";
 const fs = require("fs");
 const opcua = require("node-opcua");
@@ -30,9 +32,10 @@ function addVariables(addressSpace) {
       userAccessLevel: access,
       value,
     });
-  for (const [name, value] of Object.entries(STATE)) {
-    const get = () => new opcua.Variant({ dataType: opcua.DataType.Int32, value });
-    add(name, opcua.DataType.Int32, { get }, "CurrentRead");
+  for (const [name, number] of Object.entries(STATE)) {
+    const [type, value] = options.state[name] || ["Int32", number];
+    const get = () => new opcua.Variant({ dataType: opcua.DataType[type], arrayType: opcua.VariantArrayType.Scalar, value });
+    add(name, opcua.DataType[type], { get }, "CurrentRead");
   }
   for (const [name, read] of Object.entries(MEASURED)) {
     const get = () => new opcua.Variant({ dataType: opcua.DataType.Double, value: read() });
@@ -40,9 +43,10 @@ function addVariables(addressSpace) {
   }
   const values = new Map();
   for (const number of [...options.macros, ...options.echo]) {
+    const dataType = opcua.DataType[options.macroTypes[number] || "Double"];
     const get = () =>
       values.has(number)
-        ? new opcua.Variant({ dataType: opcua.DataType.Double, value: values.get(number) })
+        ? new opcua.Variant({ dataType, arrayType: opcua.VariantArrayType.Scalar, value: values.get(number) })
         : opcua.StatusCodes.BadNoData;
     const set = (variant) => {
       values.set(number, variant.value);
@@ -50,7 +54,7 @@ function addVariables(addressSpace) {
       return opcua.StatusCodes.Good;
     };
     const writable = options.macros.includes(number);
-    add(`Macro.${number}`, opcua.DataType.Double, writable ? { get, set } : { get },
+    add(`Macro.${number}`, dataType, writable ? { get, set } : { get },
         writable ? "CurrentRead | CurrentWrite" : "CurrentRead");
   }
 }
@@ -74,6 +78,9 @@ function addVariables(addressSpace) {
     securityModes: [opcua.MessageSecurityMode.SignAndEncrypt],
     securityPolicies: [opcua.SecurityPolicy.Basic256Sha256],
     allowAnonymous: false,
+    serverCapabilities: new opcua.ServerCapabilities({
+      operationLimits: { maxNodesPerRead: options.takes, maxNodesPerWrite: options.takes },
+    }),
     userManager: { isValidUser: (user, password) => user === options.user && password === options.password },
   });
   await server.initialize();
