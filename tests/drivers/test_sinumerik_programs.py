@@ -9,6 +9,7 @@ from drivers.guard.text import GuardPrograms, GuardStatus
 from drivers.sim.nc.nc import MacroTable
 from drivers.sim.nc.safe_point import SafePointApplication
 from drivers.sim.nc.sinumerik import NcError, SinumerikControl, SinumerikInterpreter, compile_archive
+from drivers.sim.nc.sinumerik.control import NOT_MACHINING
 
 GUARD = GuardConfig(dialect="sinumerik")
 REQUESTED = MAP.model_copy(
@@ -202,6 +203,25 @@ def test_a_value_of_a_disabled_axis_that_is_out_of_range_does_not_stop_the_progr
     assert bench.call() is GuardStatus.APPLIED, "vacant counts as 0 in the check"
 
 
+@pytest.mark.parametrize("state", NOT_MACHINING)
+def test_a_guard_that_a_block_search_runs_through_moves_nothing(bench: GuardBench, state: str) -> None:
+    """The tool may stand in the work, from where the program was interrupted, and the axis would be moved at once."""
+    bench.write(z=5.0)
+    assert bench.call() is GuardStatus.APPLIED
+    echo_time = bench.macros.get(MAP.echo_time)
+    for block in ({"z": 9.0}, {"z": 9.0, "valid_for_s": -1.0}):
+        bench.write(**block)
+        bench.nc.control.not_machining = {state}
+        bench.clock_s += 10.0
+        bench.nc.at(bench.macros, bench.clock_s).run(bench.nc.programs.guard)
+        assert bench.applied_um["z"] == pytest.approx(5.0) and bench.settled()
+        assert bench.macros.get(MAP.echo_time) == echo_time and not bench.message
+    bench.nc.control.not_machining.clear()
+    bench.write(z=9.0)
+    assert bench.call() is GuardStatus.APPLIED
+    assert bench.applied_um["z"] == pytest.approx(9.0)
+
+
 # --- requests ----------------------------------------------------------------------------
 
 
@@ -257,6 +277,18 @@ def test_a_request_that_is_none_asks_nothing(arguments: dict[str, float]) -> Non
     control.ask(**arguments)
     assert control.macros.get(520) == 0.0
     assert control.nc.control.alarm == (120, "TOOLPOINT REQUEST WRONG")
+
+
+@pytest.mark.parametrize("state", NOT_MACHINING)
+@pytest.mark.parametrize("arguments", [{"K": 1.0}, {"K": 1.0, "A": 3.0}, {"K": 2.0, "A": 3.0, "V": 0.012}, {"K": 3.0}])
+def test_a_request_that_a_block_search_runs_through_asks_nothing(arguments: dict[str, float], state: str) -> None:
+    """The work was positioned when the program first came here: a reference of now would lose what has grown since."""
+    control = Asked()
+    control.ask(K=1.0)
+    control.nc.control.not_machining = {state}
+    assert control.ask(answer=None, **arguments) == (1.0, 0.0, 0.0)
+    assert control.macros.get(520) == 1.0
+    assert control.nc.control.alarm is None and not control.nc.control.messages
 
 
 def test_an_old_answer_and_a_foreign_counter_are_none_to_a_new_request() -> None:

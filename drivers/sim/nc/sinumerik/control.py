@@ -20,6 +20,8 @@ PER_MINUTE = 2
 """Active function of G group 15: G94."""
 DEFAULT_GROUPS = {7: 1, 13: METRIC, 15: PER_MINUTE}
 """Active function of each G group after power-on: G40, G71, G94."""
+NOT_MACHINING = ("$P_SEARCH", "$P_SIM", "$P_ISTEST")
+"""TRUE in a block search, a simulation and a program test: the program is run through, and the axes do not follow."""
 Action = Callable[["SinumerikControl"], None]
 
 
@@ -54,6 +56,8 @@ class SinumerikControl:
         """MD32750 by axis."""
         self.velocity_factors = dict.fromkeys(self.addresses, 0.01)
         """MD32760 by axis."""
+        self.not_machining: set[str] = set()
+        """Those of `NOT_MACHINING` that are TRUE."""
         self.actions: dict[int, Action] = {}
         """Synchronised actions by their number."""
         self.alarm: tuple[int, str] | None = None

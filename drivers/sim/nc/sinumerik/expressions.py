@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Protocol, TypeAlias
 
 from drivers.sim.nc.blocks import NcError
-from drivers.sim.nc.sinumerik.control import SinumerikControl
+from drivers.sim.nc.sinumerik.control import NOT_MACHINING, SinumerikControl
 
 Value: TypeAlias = bool | int | float
 EQUAL = 1e-12
@@ -244,6 +244,8 @@ def _system(tokens: Tokens, name: str) -> Expression:
         return lambda frame: frame.control.tool_number
     if name == "$MN_SCALING_SYSTEM_IS_METRIC":
         return lambda frame: frame.control.basic_metric
+    if name in NOT_MACHINING:
+        return lambda frame: name in frame.control.not_machining
     index = index_of(tokens)
     if name == "$AC_TIMER":
         return lambda frame: frame.control.timer(int(index))
