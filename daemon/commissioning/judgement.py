@@ -34,7 +34,7 @@ class DisprovedError(CommissioningRefusedError):
     """An axis does not move as it is told to; what a record of before says of it may be wrong now."""
 
     def __init__(self, text: str, axis: str, ratio: float = math.nan) -> None:
-        """`ratio` of the movement to what was written; NaN where axes are mixed up."""
+        """`ratio` of the movement to what was written; NaN where it is not known, or axes are mixed up."""
         super().__init__(text)
         self.axis, self.ratio = axis, ratio
 

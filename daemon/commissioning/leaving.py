@@ -20,7 +20,7 @@ RECONNECTS = 15
 
 
 def set_aside(record_file: Path | None, error: DisprovedError, report: Callable[[str], None]) -> None:
-    """Let a record of before count no more that says otherwise of this axis: a daemon would follow by it."""
+    """Let a record of before count no more that says otherwise of this axis, or more than was seen of it now."""
     if record_file is None:
         return
     try:
@@ -31,7 +31,7 @@ def set_aside(record_file: Path | None, error: DisprovedError, report: Callable[
     if known is None or abs(error.ratio / (known.sign * known.scale) - 1.0) <= PROOF_TOLERANCE:
         return
     aside = record_file.with_name(record_file.name + DISPROVED)
-    what = f"The record of {record.date} says otherwise of axis {error.axis}"
+    what = f"The record of {record.date} is in doubt for axis {error.axis}"
     try:
         record_file.replace(aside)
     except OSError as problem:

@@ -1,5 +1,6 @@
 """The steps of a commissioning, each announced and agreed to before it happens."""
 
+import asyncio
 import os
 import pwd
 from collections.abc import Callable, Mapping
@@ -59,6 +60,8 @@ class Outcome:
 
     identity: str = ""
     guard_version: int | None = None
+    moving: str = ""
+    """The axis that has been moved and is not proved yet."""
     axes: dict[str, CommissionedAxis] = field(default_factory=dict)
 
 
@@ -111,8 +114,11 @@ class Commissioning:
             beside = [] if self._log is None else [self._log.follow()]
             await self._station.supervise(self._prove(), *beside)
         except BaseException as error:
-            if isinstance(error, DisprovedError):
-                set_aside(self._configuration.compensation.commissioning_file, error, self._report)
+            doubt: BaseException = error
+            if isinstance(error, asyncio.CancelledError) and (axis := self._outcome.moving):
+                doubt = DisprovedError("a person has broken off what was to prove it", axis)
+            if isinstance(doubt, DisprovedError):
+                set_aside(self._configuration.compensation.commissioning_file, doubt, self._report)
             await SafeExit(self._station, self._movement, self._dialogue, self._event).leave(error)
             raise
         finally:
@@ -196,6 +202,7 @@ class Commissioning:
         await self._start_from_zero()
         for axis in self._plan.axes:
             self._outcome.axes[axis] = await self._prove_axis(axis)
+            self._outcome.moving = ""
             self._event(f"axis {axis}: {_in_words(self._outcome.axes[axis])}")
         if self._station.echo.guard_version != self._outcome.guard_version:
             raise CommissioningRefusedError(
@@ -228,6 +235,7 @@ class Commissioning:
         await self._agree(f"Is the instrument along {axis} in place, and the tool away from work and fixture?")
         taken = {Moment.BEFORE: await self._read(axis, Moment.BEFORE)}
         station.enable = [other == axis for other in station.axes]
+        self._outcome.moving = axis
         await self._movement.move(index, offset_um)
         taken[Moment.AT_OFFSET] = await self._read(axis, Moment.AT_OFFSET)
         await self._movement.move(index, 0.0)
@@ -260,6 +268,7 @@ class Commissioning:
 
         taken: dict[Moment, Mapping[str, Reading]] = {Moment.BEFORE: await read(Moment.BEFORE)}
         station.enable = [other == axis for other in station.axes]
+        self._outcome.moving = axis
         await self._movement.move(index, um_per_m)
         taken[Moment.AT_OFFSET] = await read(Moment.AT_OFFSET)
         await self._movement.move(index, 0.0)

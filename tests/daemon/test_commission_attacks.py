@@ -124,6 +124,32 @@ async def test_a_record_of_before_that_the_machine_disproves_counts_no_more(benc
     assert "doubles the error" in refusal, "the same again, with the record or without"
 
 
+@pytest.mark.parametrize(
+    ("question", "words"), [("with the offset applied", "axis z, so it counts no more"), ("before", "")]
+)
+async def test_a_record_of_before_counts_no_more_where_a_person_breaks_the_proof_off(bench, question, words):
+    """He sees the axis go the wrong way and presses Ctrl-C, before he has typed what the instrument shows."""
+    bench.reset(REVERSED)
+    record_file = bench.directory / "record.json"
+    known = CommissionedAxis(sign=1, scale=1.0, written_um=5.0, measured_um=5.0)
+    save_commissioning(record_for(bench.configuration(), axes={"z": known}), record_file)
+    person, number = Person(bench), Person.number
+
+    async def breaks_off(text):
+        if question in text:
+            raise asyncio.CancelledError
+        return await number(person, text)
+
+    def named(content):
+        content["compensation"]["commissioning_file"] = str(record_file)
+
+    person.number = breaks_off
+    with pytest.raises(asyncio.CancelledError):
+        await bench.commission(person, axes=("z",), change=named)
+    assert bench.at_rest()
+    assert record_file.exists() == (not words) and words in person.text_said
+
+
 async def test_the_record_is_written_before_a_daemon_can_start(bench):
     """One that is started again and again beside the command would begin with the record of before."""
     refusals = []
