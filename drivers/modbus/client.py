@@ -47,6 +47,10 @@ class UnreadableError(Exception):
     """An answer is none of this protocol."""
 
 
+class EndedError(LinkError):
+    """A connection that had answered has been ended, as boxes do that are not asked for a while."""
+
+
 class ModbusClient:
     """One connection, built anew for every attempt.
 
@@ -62,6 +66,9 @@ class ModbusClient:
         self._sent_number = 0
         self._heard_s = 0.0
         self._closed = False
+        self._reading = self._answered = self._ended = False
+        self._sent = b""
+        """The request of which an adapter may bring the echo before the answer."""
         self._client = self._built()
         self._of_library = self._client.ctx.callback_data
         self._client.ctx.callback_data = self._taken  # type: ignore[method-assign]
@@ -74,6 +81,7 @@ class ModbusClient:
             "timeout": config.timeout_s,
             "trace_pdu": self._on_pdu,
             "trace_packet": self._on_packet,
+            "trace_connect": self._on_connect,
         }
         if config.serial_port is not None:
             return AsyncModbusSerialClient(
@@ -94,17 +102,37 @@ class ModbusClient:
         return pdu
 
     def _on_packet(self, sending: bool, packet: bytes) -> bytes:
-        if not sending:
+        if sending:
+            self._sent = packet if self._config.is_rtu else b""
+        else:
             self._heard_s = asyncio.get_running_loop().time()
         return packet
 
+    def _on_connect(self, connected: bool) -> None:
+        if not connected:
+            self._ended = True
+            if self._reading:
+                self._end_read(EndedError())
+
+    def _end_read(self, error: Exception) -> None:
+        if not self._client.ctx.response_future.done():
+            self._client.ctx.response_future.set_exception(error)
+
     def _taken(self, data: bytes, addr: tuple[Any, ...] | None = None) -> int:
-        """Return how many bytes were taken; an answer that cannot be decoded ends the read: it would be logged."""
+        """Return how many bytes were taken; an answer that cannot be decoded ends the read: it would be logged.
+
+        An echo is passed over: a request has eight bytes, and an answer, whatever it holds, an odd number of them.
+        """
+        if self._sent.startswith(data):
+            return 0
+        echo, self._sent = self._sent, b""
+        if echo and data.startswith(echo):
+            rest = data[len(echo) :]
+            return len(echo) + (self._taken(rest, addr) if rest else 0)
         try:
             return self._of_library(data, addr)
         except ModbusException:
-            if not self._client.ctx.response_future.done():
-                self._client.ctx.response_future.set_exception(UnreadableError())
+            self._end_read(UnreadableError())
             return len(data)
 
     async def connect(self) -> None:
@@ -156,18 +184,28 @@ class ModbusClient:
         """Return the registers of a request.
 
         Raises RefusedRead when the box says no; LinkError when no answer came in time, or one that is not this read's:
-        then the connection must be closed, because what comes later on it belongs to nobody.
+        then the connection must be closed, because what comes later on it belongs to nobody. EndedError when the box
+        has ended the connection since it last answered.
         """
         ask = self._client.read_holding_registers if request.table == "holding" else self._client.read_input_registers
+        self._reading = True
         try:
+            if self._ended:
+                raise EndedError
             async with asyncio.timeout(2 * self._config.timeout_s):
                 answer = await ask(request.start, count=request.count, device_id=request.unit_id)
+        except EndedError as error:
+            words = f"{self._where}: {request}: it ended the connection: see whether it serves another client"
+            raise (EndedError if self._answered else LinkError)(words) from error
         except UnreadableError as error:
             raise self._dropped(request, "the answer cannot be read") from error
         except (TimeoutError, ModbusException, OSError) as error:
             raise LinkError(self._no_answer(request)) from error
+        finally:
+            self._reading = False
         if (mismatch := self._foreign(request, answer)) != "":
             raise LinkError(f"{self._where}: {request}: {mismatch}; it is dropped and the connection built anew")
+        self._answered = True
         if answer.isError():
             code = int(getattr(answer, "exception_code", 0))
             raise RefusedRead(f"{request}: the box refuses: {REFUSALS.get(code, 'for its own reason')} (code {code})")
@@ -180,7 +218,7 @@ class ModbusClient:
         serial = ", baud and parity" if self._config.is_rtu else ""
         return (
             f"{self._where}: {request}: no answer within {self._config.timeout_s:g} s: "
-            f"check `unit_id`{serial}, wires and power of the box"
+            f"check `unit_id`{serial}, wires and power of the box; raise `timeout_s` where it is slow"
         )
 
     def _foreign(self, request: ModbusRequest, answer: ModbusPDU) -> str:

@@ -4,7 +4,7 @@ from config.schema.modbus import ModbusRequest, ModbusWire
 from config.schema.source_drivers import SourceEntry
 from drivers.clock import Clock
 from drivers.contract import LinkError
-from drivers.modbus.client import ModbusClient, RefusedRead
+from drivers.modbus.client import EndedError, ModbusClient, RefusedRead
 from drivers.modbus.registers import number_of
 from drivers.polling import PolledSource
 from drivers.readings import NoReading, Readings
@@ -42,7 +42,7 @@ class ModbusSource(PolledSource):
             if self._closed.is_set():
                 break
             try:
-                registers = await (self._client or await self._connect()).read(request)
+                registers = await self._ask(request)
             except RefusedRead as refusal:
                 answered = True
                 self._miss(readings, request, NoReading(reason=Reason.DEVICE_ERROR, why=str(refusal)))
@@ -56,6 +56,16 @@ class ModbusSource(PolledSource):
         if lost and not answered:
             raise LinkError(lost)
         return readings
+
+    async def _ask(self, request: ModbusRequest) -> list[int]:
+        """Return the registers of a request; of a box that ends connections on a new one."""
+        try:
+            return await (self._client or await self._connect()).read(request)
+        except EndedError:
+            await self.release()
+            if self._closed.is_set():
+                raise
+            return await (await self._connect()).read(request)
 
     def _miss(self, readings: dict[int | str, float | NoReading], request: ModbusRequest, why: NoReading) -> None:
         readings.update(dict.fromkeys((self._config.registers[place].key for place in request.inputs), why))

@@ -143,6 +143,65 @@ async def test_no_value_lands_on_another_register_on_a_serial_line(tmp_path: Pat
 
 
 @pytest.mark.wires
+@pytest.mark.parametrize("delay_s", [0.0, 0.005])
+async def test_an_adapter_that_echoes_what_is_sent_changes_nothing(tmp_path: Path, delay_s: float) -> None:
+    def way(answer: bytes, send: Send) -> None:
+        asyncio.get_running_loop().call_later(delay_s, send, answer) if delay_s else send(answer)
+
+    box = ModbusPtyBox(contents, tmp_path / "bus.tty", way=way, echo=True)
+    box.start()
+    values, wrong = await follow(source_of({"serial_port": str(tmp_path / "bus.tty")}), lambda: box.requests > 40)
+    assert values > 60 and wrong == 0
+    box.way = wire = BadWire(13)
+    values, wrong = await follow(source_of({"serial_port": str(tmp_path / "bus.tty")}), lambda: wire.disturbed > 60)
+    box.stop()
+    assert values > 20 and wrong == 0
+
+
+@pytest.mark.wires
+@pytest.mark.parametrize("answers", [1, 4])
+async def test_a_box_that_ends_connections_is_asked_on_a_new_one(answers: int) -> None:
+    """Some end every connection after an answer, many after a while without a request."""
+    connections = 0
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        nonlocal connections
+        connections += 1
+        for _ in range(answers):
+            request = await reader.readexactly(12)
+            registers = contents(request[6], "input" if request[7] == 4 else "holding", request[9], request[11]) or ()
+            answer = request[6:8] + bytes([2 * len(registers)]) + b"".join(word.to_bytes(2) for word in registers)
+            writer.write(request[:4] + len(answer).to_bytes(2) + answer)
+        writer.close()
+
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    place = {"host": "127.0.0.1", "port": server.sockets[0].getsockname()[1], "timeout_s": 10.0}
+    source = source_of(place)()
+    async with asyncio.timeout(PATIENCE_S):
+        cycles = source.cycles()
+        for _ in range(3):
+            cycle = await anext(cycles)
+            assert cycle.complete and not cycle.faults
+        await cycles.aclose()
+    server.close()
+    assert connections >= 3
+
+
+@pytest.mark.wires
+async def test_a_box_that_ends_a_connection_without_an_answer_is_lost_at_once_and_said_so() -> None:
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.readexactly(12)
+        writer.close()
+
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    place = {"host": "127.0.0.1", "port": server.sockets[0].getsockname()[1], "timeout_s": 60.0}
+    with pytest.raises(LinkError, match="it ended the connection: see whether it serves another client"):
+        async with asyncio.timeout(PATIENCE_S):
+            await anext(source_of(place)().cycles())
+    server.close()
+
+
+@pytest.mark.wires
 async def test_a_dead_box_costs_its_own_sensors_only_and_a_refusal_is_put_in_words(tmp_path: Path) -> None:
     def some(unit: int, table: str, start: int, count: int) -> Sequence[int] | None:
         return None if table == "input" else contents(unit, table, start, count)

@@ -75,7 +75,7 @@ class BadWire:
 
 
 def source_of(place: dict[str, Any]) -> Callable[[], ModbusSource]:
-    modbus = {**place, "timeout_s": TIMEOUT_S, "gap": 4, "sensors": [{**each, "scale": 0.01} for each in SENSORS]}
+    modbus = {"timeout_s": TIMEOUT_S, **place, "gap": 4, "sensors": [{**each, "scale": 0.01} for each in SENSORS]}
     content = {"name": "bad", "driver": "modbus", "cycle_period_s": 0.001, "modbus": modbus}
     config = SourceConfig.model_validate(content)
     return lambda: ModbusSource(config, SystemClock())

@@ -12,8 +12,9 @@ from drivers.sim.wires.modbus_box import LONGEST_FRAME, RTU_REQUEST_BYTES, Conte
 class ModbusPtyBox:
     """Answers on a pseudo-terminal."""
 
-    def __init__(self, contents: Contents, link: Path, *, way: Way = at_once) -> None:
-        self._contents = contents
+    def __init__(self, contents: Contents, link: Path, *, way: Way = at_once, echo: bool = False) -> None:
+        """`echo`: the master hears its own requests too, as with many adapters for two wires."""
+        self._contents, self._echo = contents, echo
         self.way = way
         self._port = PtyPort(link)
         self._master: int | None = None
@@ -42,11 +43,14 @@ class ModbusPtyBox:
     def _on_bytes(self) -> None:
         assert self._master is not None
         try:
-            self._received += os.read(self._master, LONGEST_FRAME)
+            received = os.read(self._master, LONGEST_FRAME)
         except OSError:  # nobody has it open: look again when somebody does
             asyncio.get_running_loop().remove_reader(self._master)
             asyncio.get_running_loop().call_later(0.01, self._listen_again)
             return
+        self._received += received
+        if self._echo:
+            self.send(received)
         while len(self._received) >= RTU_REQUEST_BYTES:
             frame = bytes(self._received[:RTU_REQUEST_BYTES])
             if answer := rtu_answer(frame, self._contents):
