@@ -305,7 +305,7 @@ class MtconnectConfig(CncConnection):
     )
     spindle_speed_item: str | None = Field(
         None,
-        description="id or name of the data item of the spindle's speed [1/min]; none: the first of its type",
+        description="id or name of the data item of the spindle's speed [1/min]; none: the only one of its type",
         examples=["S1speed"],
     )
     motor_temperature_item: str | None = Field(

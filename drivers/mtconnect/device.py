@@ -36,20 +36,25 @@ MODES = {
 BLOCK_NUMBER = re.compile(r"^\s*/?\s*N(\d{1,8})", re.IGNORECASE)
 PROGRAM_NUMBER = re.compile(r"^O?0*(\d{1,8})(\.\w{1,4})?$", re.IGNORECASE)
 WORK_OFFSET = re.compile(r"^G?(\d{1,6})(?:\.1\s*P(\d{1,3}))?$", re.IGNORECASE)
+SPEEDS = ("ROTARY_VELOCITY", "SPINDLE_SPEED")
 ITEMS: dict[str, tuple[tuple[str, str], ...]] = {
     "execution": (("EXECUTION", ""),),
     "mode": (("CONTROLLER_MODE", ""),),
     Capability.PROGRAM: (("PROGRAM", "ACTIVE"), ("PROGRAM", "MAIN"), ("PROGRAM", "")),
     "label": (("LINE_LABEL", ""),),
     "block": (("BLOCK", ""),),
-    Capability.SPINDLE_SPEED: (("ROTARY_VELOCITY", "ACTUAL"), ("SPINDLE_SPEED", "ACTUAL"), ("ROTARY_VELOCITY", "")),
+    Capability.SPINDLE_SPEED: tuple((kind, subtype) for subtype in ("ACTUAL", "") for kind in SPEEDS),
     Capability.WORK_OFFSET: (("WORK_OFFSET", ""),),
     Capability.TOOL_NUMBER: (("TOOL_NUMBER", ""), ("TOOL_ID", "")),
     "emergency_stop": (("EMERGENCY_STOP", ""),),
 }
-"""What the daemon knows -> types and subtypes of data items that tell it, the best first; '' is any subtype."""
+"""What the daemon knows -> types and subtypes of data items that tell it, the best first; '' is none: what is
+commanded, overridden or scheduled is not what is."""
+UNITS: dict[str, str] = {Capability.SPINDLE_SPEED: "REVOLUTION/MINUTE", Capability.MOTOR_TEMPERATURE: "CELSIUS"}
+"""Of what has one; an item that tells none has it."""
 READS_ONLY = "an MTConnect agent is read and never written: reach the control by another driver to compensate"
 NO_ITEM = "the agent's device has no data item of type {}"
+NAME_SPINDLE = "name the spindle's in cnc.mtconnect.spindle_speed_item"
 NOT_TOLD = "MTConnect does not tell it"
 
 
@@ -81,31 +86,32 @@ class Device:
     values: dict[str, str] = field(default_factory=dict)
     """Text of the latest observation by data item."""
     faults: dict[str, set[str]] = field(default_factory=dict)
-    """Native codes of the faults that are active, by data item of a condition."""
+    """Ids or native codes of the faults that are active, by data item of a condition."""
     cannot: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Choose the data items; raises FatalDriverError where one that is needed or named is missing."""
-        self._chosen = {role: self._choose(kinds) for role, kinds in ITEMS.items()}
+        self.cannot = {Capability.READ_MACROS: READS_ONLY, Capability.WRITE_MACROS: READS_ONLY}
+        self._chosen = {role: self._choose(role, kinds) for role, kinds in ITEMS.items()}
         for role, item in (
             (Capability.SPINDLE_SPEED, self.spindle_item),
             (Capability.MOTOR_TEMPERATURE, self.motor_item),
         ):
             if item is not None:
-                self._chosen[role] = self._named(item)
+                self._chosen[role] = self._measured(role, self._named(item))
         if self._chosen["execution"] is None:
             sentence = "nothing says whether a program runs; choose another device (cnc.mtconnect.device)"
             raise FatalDriverError(f"the agent's device {self.name} has no data item of type EXECUTION: {sentence}")
         self._known = {item.item_id for item in self.items}
-        self.cannot = {Capability.READ_MACROS: READS_ONLY, Capability.WRITE_MACROS: READS_ONLY}
         self.cannot |= {Capability.CLOCK: NOT_TOLD, Capability.POWER_ON_COUNT: NOT_TOLD}
         for role in (Capability.PROGRAM, Capability.SPINDLE_SPEED, Capability.WORK_OFFSET, Capability.TOOL_NUMBER):
             if self._chosen[role] is None:
-                self.cannot[role] = NO_ITEM.format(ITEMS[role][0][0])
+                self.cannot.setdefault(role, NO_ITEM.format(ITEMS[role][0][0]))
         if self._chosen["label"] is None and self._chosen["block"] is None:
             self.cannot[Capability.SEQUENCE_NUMBER] = NO_ITEM.format("LINE_LABEL or BLOCK")
         if self._chosen.get(Capability.MOTOR_TEMPERATURE) is None:
-            self.cannot[Capability.MOTOR_TEMPERATURE] = "no data item is named in cnc.mtconnect.motor_temperature_item"
+            why = "no data item is named in cnc.mtconnect.motor_temperature_item"
+            self.cannot.setdefault(Capability.MOTOR_TEMPERATURE, why)
         for name, (axis, item) in self.axes.items():
             self._choose_position(name, axis, item)
 
@@ -115,7 +121,7 @@ class Device:
         if item is None:
             why = f"no data item is named for {axis.axis} in cnc.mtconnect.position_items"
         else:
-            found = next(each for each in self.items if each.item_id == self._named(item))
+            found = self._named(item)
             if found.unit != "MILLIMETER":
                 why = f"data item {item} of {axis.axis} is in {found.unit or 'no unit'}, not in MILLIMETER"
             elif found.coordinates == "WORK" or found.subtype == "PROGRAMMED":
@@ -129,15 +135,28 @@ class Device:
         """Return the position of each axis [mm], NaN where it is not told now."""
         return {name: self.number(f"position {name}") for name in self.axes}
 
-    def _choose(self, kinds: tuple[tuple[str, str], ...]) -> str | None:
+    def _choose(self, role: str, kinds: tuple[tuple[str, str], ...]) -> str | None:
         for kind, subtype in kinds:
-            for item in self.items:
-                if item.kind == kind and (not subtype or item.subtype == subtype):
-                    return item.item_id
+            found = [item for item in self.items if (item.kind, item.subtype) == (kind, subtype)]
+            if len(found) > 1 and role == Capability.SPINDLE_SPEED:
+                names = ", ".join(item.name or item.item_id for item in found)
+                self.cannot[role] = f"the device has {len(found)} data items of {kind} ({names}): {NAME_SPINDLE}"
+                return None
+            if found:
+                return self._measured(role, found[0])
         return None
 
-    def _named(self, name: str) -> str:
-        found = next((item.item_id for item in self.items if name in (item.item_id, item.name)), None)
+    def _measured(self, role: str, item: DataItem) -> str | None:
+        """Return the id of an item in the unit of what it tells; None, and the reason, for one in another."""
+        unit = UNITS.get(role, item.unit)
+        if item.unit not in ("", unit):
+            self.cannot[role] = f"data item {item.name or item.item_id} is in {item.unit}, not in {unit}"
+            return None
+        self.cannot.pop(role, None)
+        return item.item_id
+
+    def _named(self, name: str) -> DataItem:
+        found = next((item for item in self.items if name in (item.item_id, item.name)), None)
         if found is None:
             raise FatalDriverError(
                 f"the agent's device {self.name} has no data item {name!r}; its probe page shows their ids and names"
@@ -168,8 +187,12 @@ class Device:
                     self._condition(item, observation)
 
     def _condition(self, item: str, observation: Element) -> None:
-        """Take a state of a condition: without a code, one that is normal or not known ends all its faults."""
-        code = observation.attributes.get("nativeCode", "")
+        """Take a state of a condition: without a code, one that is normal or not known ends all its faults.
+
+        An activation is told apart by its conditionId, before version 2.3 by its nativeCode.
+        """
+        told = observation.attributes
+        code = told.get("conditionId") or told.get("nativeCode", "")
         active = self.faults.setdefault(item, set())
         if observation.name == "Fault":
             active.add(code)

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import math
+import re
 
 import pytest
 import pytest_asyncio
@@ -148,6 +149,56 @@ def test_names_of_programs_and_blocks_become_numbers():
     for offset, number in (("G54", 54), ("54", 54), ("G54.1 P3", 541003), ("-", 0)):
         device.values["WORK_OFFSET"] = offset
         assert device.work_offset == number, offset
+
+
+def speed(item_id, kind="ROTARY_VELOCITY", subtype="ACTUAL", unit="REVOLUTION/MINUTE"):
+    return DataItem(item_id=item_id, name=item_id, kind=kind, subtype=subtype, unit=unit)
+
+
+OVERRIDE = speed("Sovr", subtype="OVERRIDE", unit="PERCENT")
+COMMANDED = speed("Scmd", subtype="COMMANDED")
+
+
+@pytest.mark.parametrize(
+    ("items", "named", "chosen", "why"),
+    [
+        ((OVERRIDE, speed("Sact")), None, "Sact", None),
+        ((OVERRIDE, speed("Sold", "SPINDLE_SPEED", "")), None, "Sold", None),
+        ((OVERRIDE, COMMANDED), None, None, "no data item of type ROTARY_VELOCITY"),
+        ((speed("Sact", unit="REVOLUTION/SECOND"),), None, None, "Sact is in REVOLUTION/SECOND, not in REVOLUTION/MIN"),
+        (
+            (speed("S1"), speed("B")),
+            None,
+            None,
+            r"2 data items of ROTARY_VELOCITY \(S1, B\): name the spindle's in cnc\.",
+        ),
+        ((speed("S1"), speed("B")), "B", "B", None),
+        ((OVERRIDE,), "Sovr", None, "Sovr is in PERCENT"),
+    ],
+)
+def test_the_speed_is_the_spindle_s_actual_one_or_none_with_the_reason(items, named, chosen, why):
+    execution = DataItem(item_id="EXECUTION", name="", kind="EXECUTION", subtype="")
+    device = Device(name="x", uuid="y", items=(execution, *items), spindle_item=named)
+    device.values |= {item.item_id: "100" for item in items if item.item_id != chosen}
+    device.values |= {chosen: "4711"} if chosen else {}
+    told = device.number(Capability.SPINDLE_SPEED)
+    assert told == 4711.0 if chosen else math.isnan(told)
+    assert re.search(why, device.cannot[Capability.SPINDLE_SPEED]) if why else "spindle_speed" not in device.cannot
+
+
+def test_of_two_faults_one_ends_and_the_other_stays():
+    """Since 2.3 a conditionId tells activations apart, before that the nativeCode does."""
+    items = tuple(DataItem(item_id=kind, name="", kind=kind, subtype="") for kind in ("EXECUTION", "SYSTEM"))
+    for code in ("conditionId", "nativeCode"):
+        device = Device(name="x", uuid="y", items=items)
+        for told, alarm in (("Fault 1", True), ("Fault 2", True), ("Normal 1", True), ("Normal 2", False)):
+            state, number = told.split()
+            text = f'<{state} dataItemId="SYSTEM" {code}="{number}"/>'
+            text = (
+                f"<a><DeviceStream><ComponentStream><Condition>{text}</Condition></ComponentStream></DeviceStream></a>"
+            )
+            device.observe(asyncio.run(parsed(text.encode())), anew=False)
+            assert device.alarm == alarm, told
 
 
 def test_an_agent_that_invents_items_or_faults_does_not_fill_the_memory():
