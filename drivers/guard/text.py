@@ -99,8 +99,8 @@ def guard_digest(text: str) -> str:
 
 
 def alarm_number(status: GuardStatus) -> int:
-    """Return the number with which #3000 stops for a status; 110 and 111 are the initialising program's."""
-    return {GuardStatus.CHECK: 112, GuardStatus.PLACE: 113}.get(status, 100 + status)
+    """Return the number with which #3000 stops for a status; 110 to 112 are the initialising program's."""
+    return {GuardStatus.CHECK: 114, GuardStatus.PLACE: 113}.get(status, 100 + status)
 
 
 def guard_axes(axes: Mapping[str, AxisConfig], guard: GuardConfig) -> dict[str, GuardAxisConfig]:

@@ -1,5 +1,7 @@
 """When the simulated machine runs its NC programs: handshake, safe flag, alarms, operator messages."""
 
+import re
+from importlib.resources import files
 from typing import Any
 
 import pytest
@@ -8,6 +10,7 @@ from guard_bench import AXES, MAP
 from config.schema.cnc import MacroMapConfig, RequestMacrosConfig
 from config.schema.guard import GuardConfig
 from config.schema.temperatures import SensorConfig
+from drivers.guard.programs import guard_text
 from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
 from drivers.sim.nc.nc_programs import MACRO_ALARM
@@ -191,3 +194,14 @@ def test_the_safe_flag_is_set_in_safe_blocks_only() -> None:
         flags.setdefault(simulated.nc.sequence_number, set()).add(simulated.nc.macros.get(FLAG))
     assert flags[200] == {0.0} and flags[100] == {0.0} and flags[210] == {0.0}
     assert 1.0 in flags[SAFE]
+
+
+def test_the_number_of_an_alarm_is_the_number_of_one_message() -> None:
+    maps = MAP.model_dump() | {"request": REQUEST.model_dump(), "safe_flag": FLAG}
+    guard = guard_text(MacroMapConfig.model_validate(maps), AXES, GuardConfig(alarm="stop", on_timeout="stop"))
+    texts = guard + files("drivers.guard").joinpath("speed.nc").read_text("ascii")
+    words: dict[str, set[str]] = {}
+    for number, message in re.findall(r"#3000=(\d+)\((TOOLPOINT [^)]+)\)", texts):
+        words.setdefault(number, set()).add(message)
+    assert {"103", "112", "123", "130"} <= set(words)
+    assert {number: messages for number, messages in words.items() if len(messages) > 1} == {}

@@ -9,6 +9,7 @@ import pytest
 
 from daemon.simulation.demonstration import result
 from daemon.telemetry.metrics import Telemetry
+from drivers.guard import linuxcnc, sinumerik
 from drivers.sim.faults import FaultKind
 from drivers.sim.nc.safe_point import GuardStatus
 from models.control.compensation import TRANSITIONS
@@ -73,6 +74,21 @@ def test_codes_are_those_of_the_code(
 ) -> None:
     expected = [[str(int(code)), code.name.lower().replace("_", " ")] for code in codes]
     assert [row[:2] for row in rows(section(name, heading))] == expected
+
+
+def test_every_message_of_the_nc_programs_is_explained() -> None:
+    stops = re.compile(r"(?:#3000=\d+|(?<!O)\{\w+\})\((TOOLPOINT [A-Z0-9 ]+)\)|\(ABORT, (TOOLPOINT [A-Z0-9 ]+)\)")
+    text = "".join(path.read_text("ascii") for path in (ROOT / "drivers/guard").glob("*.nc"))
+    found = {words for pair in stops.findall(text) for words in pair if words} | set(linuxcnc.WORDS.values())
+    found |= {f"TOOLPOINT {words}" for words in sinumerik.WORDS.values()}
+    found |= {f"TOOLPOINT {words.replace('SPEED S F', 'S F')}" for _, words in sinumerik.SPEED_WORDS.values()}
+    pages = " ".join(
+        (DOCS / f"how-to/{name}.md").read_text("utf-8")
+        for name in ("install-the-guard-macro", "tune-the-spindle-speed")
+    )
+    told = " ".join(pages.split())
+    assert len(found) > 20
+    assert [words for words in sorted(found) if words.removeprefix("TOOLPOINT ") not in told] == []
 
 
 def test_every_kind_of_fault_is_listed() -> None:
