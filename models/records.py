@@ -203,7 +203,7 @@ class ThermalErrorEstimate:
     """Their change since the reference [degC]."""
     in_domain: bool
     confidence: float
-    """0..1: the share of the model's weight that rests on sensors with a usable value."""
+    """How far the estimate may be followed, 0..1: usable sensors, past that is known, distance from training."""
     imputed: tuple[int, ...]
     """IDs of the sensors that were imputed."""
     fading_um: float = 0.0

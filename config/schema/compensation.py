@@ -179,7 +179,7 @@ class OutputConfig(Section):
     alarm_after_s: Seconds = Field(300.0, description="frozen for longer than this raises the alarm")
     hold_limit_s: Seconds = Field(600.0, description="frozen for longer than this retreats (RETREAT)")
     min_confidence: float = Field(
-        0.7, ge=0, le=1, description="share of the model's weight that must rest on usable sensors"
+        0.7, ge=0, le=1, description="below this confidence (what the estimate is worth, 0 to 1) the output holds"
     )
     full_confidence: float = Field(
         0.9,
