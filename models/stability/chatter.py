@@ -316,7 +316,7 @@ def detect_chatter(
     clipped, or the tooth passing beyond its reach.
 
     `acceleration_m_s2`: shape (n,) [m/s^2]. `sample_rate_hz`: samples per second [Hz]. `speed_rpm`: spindle speed
-    [1/min]. `teeth`: number of teeth.
+    [1/min]. `teeth`: number of teeth. `machine`: see `judge_frame`.
     """
     check_length(len(acceleration_m_s2), sample_rate_hz, window_samples(sample_rate_hz))
     check_clipping(acceleration_m_s2)

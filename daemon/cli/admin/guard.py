@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 @option(
     "--dialect",
     type=click.Choice(["fanuc", "sinumerik", "linuxcnc"]),
-    help="Language of the programs: custom macro B, or SINUMERIK with R parameters (default: cnc.guard.dialect).",
+    help="Language: custom macro B, SINUMERIK with R parameters, or LinuxCNC (default: cnc.guard.dialect).",
 )
 @output_option
 @option(
