@@ -102,6 +102,18 @@ def test_the_json_holds_what_is_promised_and_nothing_else_is_on_standard_output(
         assert all({"rmse_um", "reduction_rmse"} <= set(figures) for figures in channel["candidates"].values())
 
 
+def test_what_is_gone_of_a_channel_that_is_noise_is_in_no_mean(tmp_path: Path) -> None:
+    columns = table()
+    columns["c3"] = np.random.default_rng(8).normal(0.0, 0.3, len(columns["t"]))
+    found = figures(write(tmp_path / "day.csv", columns), *SPLIT, "--model", "ridge")
+    channels, mean = found["channels"], found["mean"]
+    assert channels["c3"]["reduction_rmse"] < 0.3 and mean["online"]["reduction_rmse"] > 0.8
+    for key in ("reduction_rmse", "reduction_max"):
+        assert mean[key] == pytest.approx(0.5 * (channels["c1"][key] + channels["c2"][key]))
+        assert found["tests"][0][key] == pytest.approx(mean[key])
+    assert mean["rmse_um"] == pytest.approx(np.mean([its["rmse_um"] for its in channels.values()]))
+
+
 def test_what_the_machine_gets_is_told_beside_what_is_estimated(tmp_path: Path) -> None:
     columns = table()
     beyond = columns["t"] >= 8 * 3600.0

@@ -29,6 +29,7 @@ from models.thermal.features import BoolArray
 from models.thermal.model import HyperParameters
 from models.thermal.training.advice import advice
 from models.thermal.training.choice import Choice
+from models.thermal.training.evaluation import moving
 from models.thermal.training.families import fold_numbers
 from models.thermal.training.folds import cycles, inner_folds
 from models.thermal.training.inputs import (
@@ -296,12 +297,14 @@ def _stretch(inputs: Inputs, outcome: _Outcome, index: int) -> Stretch:
 
 def _figures(inputs: Inputs, outcomes: Sequence[_Outcome], record_next: Sequence[str]) -> dict[str, Any]:
     channels: dict[str, dict[str, Any]] = _channel_figures(inputs.channels, outcomes)
-    mean = _mean(channels)
+    moves = moving([trial.measured_um for o in outcomes for trial in o.trials])
+    counted = [name for name, counts in zip(inputs.channels, moves, strict=True) if counts]
+    mean = _mean(channels, counted)
     for name, choice in choice_figures({o.name: o.choice for o in outcomes}, inputs.channels).items():
         channels[name] |= choice
     refusals = [o for o in outcomes if o.trust.refused is not None]
     several = len(outcomes) > 1
-    tests = [_test_figures(inputs, outcome) for outcome in outcomes]
+    tests = [_test_figures(inputs, outcome, counted) for outcome in outcomes]
     by_test = {o.name: _channel_figures(inputs.channels, [o]) for o in outcomes}
     turned = dict.fromkeys(sentence for o in outcomes for sentence in o.reversed_runs)
     tested = tuple(f"{o.name}: " for o in outcomes)
@@ -348,8 +351,8 @@ def _to_be_judged(inputs: Inputs, outcomes: Sequence[_Outcome]) -> dict[str, lis
     }
 
 
-def _test_figures(inputs: Inputs, outcome: _Outcome) -> dict[str, Any]:
-    mean = _mean(_channel_figures(inputs.channels, [outcome]))
+def _test_figures(inputs: Inputs, outcome: _Outcome, counted: Sequence[str]) -> dict[str, Any]:
+    mean = _mean(_channel_figures(inputs.channels, [outcome]), counted)
     names = [name for name in inputs.sensor_names if name not in outcome.dropped]
     return {
         "name": outcome.name,
@@ -437,17 +440,21 @@ def _online_figures(channel: int, outcomes: Sequence[_Outcome], rmse_without_um:
     return found | ({"reduction_rmse": 1.0 - rmse / rmse_without_um} if rmse_without_um > 0.0 else {})
 
 
-def _mean(channels: dict[str, dict[str, Any]]) -> dict[str, Any]:
+def _mean(channels: dict[str, dict[str, Any]], counted: Sequence[str]) -> dict[str, Any]:
+    """Return the means over the channels; of what is gone over those that count: one that is noise says nothing."""
     found: dict[str, Any] = {}
+    moving_ones = [channels[name] for name in counted]
     for key in ("rmse_um", "max_um", "reduction_rmse", "reduction_max", "band_coverage", "band_width_um"):
-        values = [figures[key] for figures in channels.values()]
+        values = [figures[key] for figures in (moving_ones if key.startswith("reduction") else channels.values())]
         known = [value for value in values if value is not None]
         found[key] = (max(known) if key == "max_um" else sum(known) / len(known)) if known else None
     for key, names in (
         ("online", ("rmse_um", "reduction_rmse", "mean_confidence")),
         ("band", ("coverage", "width_um")),
     ):
-        parts = [figures[key] for figures in channels.values() if figures[key] is not None]
-        means = {name: [part[name] for part in parts if part.get(name) is not None] for name in names}
-        found[key] = {name: sum(all_of) / len(all_of) if all_of else None for name, all_of in means.items()}
+        found[key] = {}
+        for name in names:
+            parts = [figures[key] or {} for figures in (moving_ones if name == "reduction_rmse" else channels.values())]
+            all_of = [part[name] for part in parts if part.get(name) is not None]
+            found[key][name] = sum(all_of) / len(all_of) if all_of else None
     return found

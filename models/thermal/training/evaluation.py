@@ -15,8 +15,12 @@ NOISE_FACTOR = 4.0
 
 def spans_um(stretches: Sequence[FloatArray]) -> FloatArray:
     """Return the largest span within a stretch between 5 and 95 % of each channel's values [um], see `moving`."""
-    spans = [np.subtract(*np.nanquantile(each, (0.95, 0.05), axis=0)) for each in stretches]
+    spans = [[_span_um(column[np.isfinite(column)]) for column in each.T] for each in stretches]
     return np.asarray(np.max(spans, axis=0), dtype=np.float64)
+
+
+def _span_um(values: FloatArray) -> float:
+    return float(np.subtract(*np.quantile(values, (0.95, 0.05)))) if len(values) else 0.0
 
 
 def moving(stretches: Sequence[FloatArray]) -> BoolArray:
@@ -24,7 +28,7 @@ def moving(stretches: Sequence[FloatArray]) -> BoolArray:
 
     Nothing can be learned about one that never leaves its noise, so what is left of it says nothing of a model.
 
-    `stretches`: measured displacements [um], each of shape (n, n_channels), at least one row each.
+    `stretches`: measured displacements [um], each of shape (n, n_channels), NaN where missing.
     """
     if not len(stretches):
         return np.ones(0, dtype=np.bool_)
