@@ -1,5 +1,6 @@
 """Proposes the map of a control's variables from what its OPC UA server shows, by names that they usually have."""
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -9,8 +10,9 @@ from asyncua import ua
 
 from config.schema.cnc_drivers import NEEDED_NODES, NO_NODE, SINUMERIK_NAMESPACE, OpcUaSecurityConfig
 from config.schema.guard import GuardConfig
+from drivers.json_fields import number_in
 from drivers.opcua.browsing import Browsed, Variable, browse, values_of
-from drivers.opcua.sinumerik import sinumerik_map
+from drivers.opcua.sinumerik import TEXTS, sinumerik_map
 from drivers.opcua.tags import TagSession
 from drivers.opcua.variables import FANUC_NODES
 
@@ -105,7 +107,7 @@ def _of_namespace(namespace: str, variables: Sequence[Variable]) -> Proposal:
         ranked = sorted(
             (names.index(_bare(variable.name)), place)
             for place, variable in enumerate(variables)
-            if _bare(variable.name) in names and _numeric(variable.value)
+            if _bare(variable.name) in names and _means_something(key, variable.value)
         )
         if ranked:
             first, *rest = (variables[place] for _, place in ranked)
@@ -134,8 +136,14 @@ def _bare(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
-def _numeric(value: Any) -> bool:
-    return value is None or isinstance(value, (bool, int, float))
+def _means_something(key: str, value: Any) -> bool:
+    """Return whether a value, or none at the moment, can be what the key stands for."""
+    if not isinstance(value, str):
+        return value is None or isinstance(value, (bool, int, float))
+    try:
+        return math.isfinite(TEXTS[key](value) if key in TEXTS else number_in(value, math.nan))
+    except ValueError:
+        return False
 
 
 def _macro_patterns(variables: Sequence[Variable]) -> list[str]:

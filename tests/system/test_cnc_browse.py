@@ -59,6 +59,13 @@ def test_variables_of_another_server_are_known_by_their_usual_names() -> None:
     assert OpcUaConfig.model_validate(section).namespace == "urn:a"
 
 
+def test_a_text_is_proposed_where_it_is_read_and_nowhere_else() -> None:
+    texts = (("i=20", "CNC/Program", "O1000"), ("i=21", "CNC/WorkOffset", "G54"), ("i=22", "CNC/Clock", "12:30:00"))
+    proposal = propose(shown(*texts, ("i=23", "CNC/Tool/Tool_No", "T3"), ("i=24", "CNC/Mode", "AUTO")))
+    assert proposal is not None
+    assert proposal.nodes == {"program": "i=20", "work_offset": "i=21", "tool_number": "i=23"}
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
