@@ -1,4 +1,7 @@
-"""A connection to a broker that speaks MQTT 5: what was published counts when the broker has acknowledged it."""
+"""A connection to a broker: what was published counts when the broker has acknowledged it.
+
+With MQTT 5 the broker tells what it refuses, and when nobody reads; who can do without that may use 3.1.1.
+"""
 
 import contextlib
 import functools
@@ -26,6 +29,7 @@ from daemon.sinks.broker_refusals import (
     no_acknowledgement,
     reason,
     refusal,
+    unanswered,
 )
 from daemon.sinks.contract import SinkError
 from daemon.sinks.vouching import tls_context
@@ -41,8 +45,8 @@ IN_FLIGHT = 20
 """The library's own limit; it does not look at that of the broker."""
 ALWAYS, IF_NEW = 0, 1
 """Retained messages come when a subscription is made; whether they come again when it is renewed."""
-NOBODY, NOT_AUTHORISED, WITHOUT_WILL, WITH_WILL = 16, 135, 0, 4
-"""Reason codes: taken and passed on to nobody; not allowed; farewells after which the will is not published, or is."""
+NOBODY, UNKNOWN_VERSION, NOT_AUTHORISED, WITHOUT_WILL, WITH_WILL = 16, 132, 135, 0, 4
+"""Reason codes: taken and passed on to nobody; unknown version; not allowed; farewells without the will and with it."""
 
 logging.getLogger("paho").setLevel(logging.CRITICAL + 1)  # what matters is raised here
 
@@ -57,11 +61,16 @@ class Message:
     """The history store of which it is a row, which goes along as a property; '' for none."""
 
 
+class NotUnderstoodError(SinkError):
+    """The broker did not answer as one that speaks this version does; the text says how."""
+
+
 class Broker:
     """One session with one broker, of which a new one is made after a loss."""
 
-    def __init__(self, config: BrokerConfig, where: str, client_id: str) -> None:
-        self._config, self._where = config, where
+    def __init__(self, config: BrokerConfig, where: str, client_id: str, *, older: bool = False) -> None:
+        """`older`: MQTT 3.1.1 will do where the broker does not understand 5."""
+        self._config, self._where, self._client_id, self._older = config, where, client_id, older
         self._changed = threading.Condition()
         self._connected = False
         self._lost = ""
@@ -72,30 +81,48 @@ class Broker:
         self._refused: tuple[int, int, str] | None = None
         """Number of the message, code and words of the last refusal."""
         self._granted: ReasonCode | None = None
-        self._client = paho.Client(
-            CallbackAPIVersion.VERSION2, client_id, protocol=paho.MQTTv5, reconnect_on_failure=False
-        )
-        self._client.connect_timeout = config.timeout_s
-        self._client.on_connect = self._on_connect
-        self._client.on_disconnect = self._on_disconnect
-        self._client.on_publish = self._on_publish
-        self._client.on_subscribe = self._on_subscribe
+        self._on_message: paho.CallbackOnMessage | None = None
+        self._will: Message | None = None
+        """What this end publishes before a farewell in the older version, in which the broker drops the will."""
+        self._client = self._made(paho.MQTTv5)
+
+    def _made(self, version: Any) -> paho.Client:
+        client = paho.Client(CallbackAPIVersion.VERSION2, self._client_id, protocol=version, reconnect_on_failure=False)
+        client.connect_timeout = self._config.timeout_s
+        client.on_connect = self._on_connect
+        client.on_disconnect = self._on_disconnect
+        client.on_publish = self._on_publish
+        client.on_subscribe = self._on_subscribe
+        client.on_message = self._on_message
+        return client
 
     def connect(self, will: Message) -> None:
         """Connect, with what the broker is to publish when this end is lost; raises SinkError."""
-        client, config = self._client, self._config
-        set_credentials(client, config, self._where)
-        client.will_set(will.topic, will.payload, will.qos, will.retain)
         properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         properties.MaximumPacketSize = LARGEST_MESSAGE
         try:
-            client.connect(config.host, config.server_port, PING_PERIOD_S, clean_start=True, properties=properties)
+            self._connect(will, clean_start=True, properties=properties)
+        except NotUnderstoodError:
+            if not self._older:
+                raise
+            self.close()
+            self._client, self._lost, self._will = self._made(paho.MQTTv311), "", will
+            self._connect(will)
+
+    def _connect(self, will: Message, **of_version: Any) -> None:
+        client, config = self._client, self._config
+        set_credentials(client, config, self._where)
+        client.will_set(will.topic, will.payload, will.qos, will.retain)
+        try:
+            client.connect(config.host, config.server_port, PING_PERIOD_S, **of_version)
         except (OSError, ValueError) as error:
             raise SinkError(f"{self._where}: {refusal(error, config)}") from error
         client.loop_start()
         with self._changed:
             if not self._changed.wait_for(lambda: self._connected or self._lost, config.timeout_s):
-                raise SinkError(f"{self._where}: {no_acknowledgement(config)}")
+                raise NotUnderstoodError(f"{self._where}: {unanswered(config)}")
+            if not self._connected and not self._refused:
+                raise NotUnderstoodError(f"{self._where}: {self._lost}")
         self.check()
 
     def check(self) -> None:
@@ -143,13 +170,16 @@ class Broker:
             with self._told():
                 pass
 
-        self._client.on_message = handle
+        self._on_message = self._client.on_message = handle
 
     def subscribe(self, topic: str, retained: int = IF_NEW) -> None:
         """Subscribe, and wait for the acknowledgement: the broker has then what was sent before, too."""
         with self._changed:
             self._granted = None
-        self._client.subscribe(topic, options=SubscribeOptions(qos=1, retainHandling=retained))
+        if self._will is None:
+            self._client.subscribe(topic, options=SubscribeOptions(qos=1, retainHandling=retained))
+        else:
+            self._client.subscribe(topic, qos=1)
         with self._changed:
             if not self._changed.wait_for(lambda: self._granted is not None or self._lost, self._config.timeout_s):
                 raise SinkError(f"{self._where}: {no_acknowledgement(self._config)}")
@@ -194,6 +224,8 @@ class Broker:
 
     def _say_farewell(self, code: int = WITH_WILL) -> None:
         with contextlib.suppress(OSError, ValueError):
+            if self._will is not None and self._connected and code == WITH_WILL:
+                self.send(self._will)
             self._client.disconnect(ReasonCode(PacketTypes.DISCONNECT, identifier=code))
 
     # --- in the library's thread -----------------------------------------------------------
@@ -202,6 +234,7 @@ class Broker:
         with self._told():
             if code.is_failure:
                 self._lost = self._lost or reason(code.value, str(code))
+                self._refused = None if code.value == UNKNOWN_VERSION else (0, code.value, str(code))
             else:
                 allowed = getattr(properties, "ReceiveMaximum", IN_FLIGHT)
                 self._at_once = AT_ONCE if allowed >= IN_FLIGHT else allowed

@@ -54,7 +54,18 @@ def lost(code: int, name: str) -> str:
 def closed_at_once(config: BrokerConfig) -> str:
     """Return that the broker ended the connection without a word."""
     asked = "set `tls: true`" if not config.tls else "check `port`"
-    return f"it closed the connection before it answered: perhaps its port {config.server_port} is another: {asked}"
+    return (
+        f"it closed the connection before it answered: perhaps its port {config.server_port} is another: {asked}; or "
+        "it does not speak MQTT 5, for Sparkplug at least 3.1.1"
+    )
+
+
+def unanswered(config: BrokerConfig) -> str:
+    """Return that something is there which does not answer as a broker does."""
+    return (
+        f"no answer within `timeout_s` ({config.timeout_s:g} s): check `port`, and that it speaks MQTT 5, for "
+        "Sparkplug at least 3.1.1"
+    )
 
 
 def may_not_publish(topic: str, name: str) -> str:

@@ -77,7 +77,7 @@ class SparkplugSink:
         assert config.sparkplug is not None
         section = config.sparkplug
         self._where = f"sink {config.name}: broker {section.host}:{section.server_port}"
-        self._broker = Broker(section, self._where, f"toolpoint-{config.name}-{machine}")
+        self._broker = Broker(section, self._where, f"toolpoint-{config.name}-{machine}", older=True)
         self._topic = f"{NAMESPACE}/{section.group}/{{}}/{topic_level(machine)}"
         self._device = section.device
         self._host = None if section.primary_host is None else PrimaryHost(section.primary_host)

@@ -1,12 +1,16 @@
 """Sparkplug B: payloads by the numbers of the specification, rows as metrics, and what a host may say."""
 
+import contextlib
 import itertools
+import socket
+import socketserver
 import struct
 import subprocess
 import threading
 from pathlib import Path
 
 import paho.mqtt.client as paho
+import pytest
 from filled_store import fill, rows_waiting
 from history_records import EPOCH_S
 from hypothesis import given
@@ -249,3 +253,58 @@ def test_a_storm_of_commands_to_be_born_again_is_answered_and_keeps_no_row_back(
     assert runner.cursor.problem == "" and 2 <= kinds.count("NBIRTH") < 20
     for (_, before), (kind, number) in itertools.pairwise(numbers):
         assert number == (0 if kind == "NBIRTH" else (before + 1) % 256)
+
+
+class OlderBroker(socketserver.ThreadingTCPServer):
+    """Passes on to a broker who speaks MQTT 3.1.1, and answers who speaks 5 as brokers do that do not know it."""
+
+    daemon_threads = True
+
+    def __init__(self, port: int, way: str) -> None:
+        super().__init__(("127.0.0.1", 0), _OlderConnection)
+        self.broker, self.way = port, way
+
+
+class _OlderConnection(socketserver.BaseRequestHandler):
+    server: OlderBroker
+
+    def handle(self) -> None:
+        connect = self.request.recv(65536)
+        version = connect[connect.index(b"MQTT") + 4]
+        if version == 4:
+            with socket.create_connection(("127.0.0.1", self.server.broker)) as broker:
+                broker.sendall(connect)
+                threading.Thread(target=self._pass_on, args=(broker, self.request), daemon=True).start()
+                self._pass_on(self.request, broker)
+        elif self.server.way == "refuses":
+            self.request.sendall(b"\x20\x02\x00\x01")
+        elif self.server.way == "is silent":
+            self.request.recv(1)
+
+    @staticmethod
+    def _pass_on(source: socket.socket, target: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(65536):
+                target.sendall(data)
+            target.shutdown(socket.SHUT_WR)
+
+
+@pytest.mark.parametrize("way", ["refuses", "closes", "is silent"])
+def test_a_broker_that_does_not_know_mqtt_5_gets_births_data_and_death(tmp_path: Path, way: str) -> None:
+    """The specification asks for 3.1.1 alone."""
+    store, heard = tmp_path / "h.sqlite", list[str]()
+    fill(store, hours=0.2)
+    host = paho.Client(CallbackAPIVersion.VERSION2, "host")
+    host.on_message = lambda _client, _data, message: heard.append(message.topic.split("/")[2])
+    with mosquitto(tmp_path, "allow_anonymous true") as port, OlderBroker(port, way) as older:
+        threading.Thread(target=older.serve_forever, daemon=True).start()
+        host.connect("127.0.0.1", port)
+        host.subscribe("spBv1.0/Plant/#", qos=1)
+        host.loop_start()
+        assert problem(older.server_address[1], store, "Plant") == ""
+        wait_until(lambda: heard[-1:] == ["NDEATH"])
+        host.loop_stop()
+        older.shutdown()
+    assert heard[:2] == ["NBIRTH", "DBIRTH"] and heard.count("DDATA") > 10 and heard.count("NDEATH") == 1
+    cursor = Cursor.read(cursor_path(store, "scada"))
+    assert cursor is not None and not rows_waiting(store, cursor)
