@@ -1,12 +1,14 @@
 """`toolpoint dynamics` with files as a person writes them, good and bad."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from dynamics_command import DIRECT, answer, call, nose, refusal, write_csv
 
-from config.machine.spindle import shipped_spindles
+from config.machine.spindle import shipped_spindles, spindle_folder
 
 
 @pytest.fixture
@@ -123,6 +125,72 @@ def test_groups_have_any_names_and_a_person_says_what_varies(tmp_path: Path) -> 
     said = refusal("identify", guess, measured, "--vary", "kt_12")
     assert "'kt_12' is no bearing parameter of this spindle" in said and "kt_front" in said
     assert "name what is varied" in refusal("identify", guess, measured, "--parameters", "5")
+
+
+def test_a_shaft_of_one_material_changes_by_the_root_of_its_moduli() -> None:
+    found = answer("sensitivity", "steel", "--percent", 10, "--count", 2)
+    assert found["varied_segments"] == list(range(1, 16))
+    both = {each["percent"]: each["modes"] for each in found["variations"] if each["moduli"] == "E+G"}
+    for percent, modes in both.items():
+        for mode, before in zip(modes, found["baseline"], strict=True):
+            assert mode["frequency_hz"] == pytest.approx(before["frequency_hz"] * (1 + percent / 100) ** 0.5, rel=1e-6)
+            assert mode["change_percent"] == pytest.approx(100 * ((1 + percent / 100) ** 0.5 - 1), rel=1e-6)
+            assert mode["mac"] == pytest.approx(1.0)
+    assert set(both) == {10.0, -10.0}
+
+
+def test_a_layout_twice_as_stiff_in_all_yields_half_at_root_two_of_the_frequency(spindle: Path, tmp_path: Path) -> None:
+    text = DIRECT.replace("E_gpa: 200, G_gpa: 76.9", "E_gpa: 400, G_gpa: 153.8")
+    for kind, factor in (
+        ("kt_n_per_m", 2.0),
+        ("kr_nm_per_rad", 2.0),
+        ("ct_ns_per_m", 2**0.5),
+        ("cr_nms_per_rad", 2**0.5),
+    ):
+        text = re.sub(
+            rf"{kind}: ([\d.e]+)", lambda found, by=factor: f"{found[0].split()[0]} {float(found[1]) * by!r}", text
+        )
+    stiff = tmp_path / "stiff.yaml"
+    stiff.write_text(text)
+    found = answer("compare", spindle, stiff, "--from-hz", 200, "--to-hz", 4000, "--points", 40_000)
+    first, second = found["layouts"]
+    assert second["frequency_hz"] == pytest.approx(2**0.5 * first["frequency_hz"], rel=1e-3)
+    assert (first["compliance_change_percent"], second["compliance_change_percent"]) == pytest.approx(
+        (0.0, -50.0), abs=0.1
+    )
+    assert second["mass_kg"] == pytest.approx(first["mass_kg"])
+    response = answer("frf", spindle, "--from-hz", 200, "--to-hz", 4000, "--points", 40_000)
+    assert max(peak["magnitude_m_per_n"] for peak in response["peaks"]) == first["compliance_m_per_n"]
+
+
+def test_what_is_followed_over_a_recording_is_the_peak_on_the_bearings_of_its_temperatures(tmp_path: Path) -> None:
+    recording = tmp_path / "day.csv"
+    rows = [f"{60 * minute},20,20,20,20" for minute in range(15)]
+    recording.write_text("\n".join(["t,IR,A,F,Room", *rows]) + "\n")
+    found = answer("track", recording, "--spindle", "tool_warm_y", "--axis", "y")
+    assert found["time_min"] == list(range(15))
+    assert all(found["inhibit"][:10]) and not any(found["inhibit"][10:]), (
+        "the changes over 10 min are known from then on"
+    )
+    axis = found["axes"]["y"]
+    of_bearings = answer("bearings", "--axis", "y", "--t-ir", 20, "--t-a", 20, "--t-f", 20, "--t-room", 20)
+    assert {name: each["value"][-1] for name, each in axis["properties"].items()} == pytest.approx(
+        {name: each["value"] for name, each in of_bearings.items()}
+    )
+    kept = {"kt_12": 1e-5, "ct_34": 1e-5, "kr_34": 1e-5, "cr_12": 1e-5, "cr_34": 1e-5, "cr_5": 1e-5, "kr_5": 1e5}
+    values = kept | {name: each["value"] for name, each in of_bearings.items()}
+    content = yaml.safe_load((spindle_folder() / "tool_warm_y.yaml").read_text())
+    for bearing in content["bearings"]:
+        for key in ("kt_n_per_m", "ct_ns_per_m", "kr_nm_per_rad", "cr_nms_per_rad"):
+            bearing[key] = values[f"{key[:2]}_{bearing['group']}"]
+    own = tmp_path / "own.yaml"
+    own.write_text(yaml.safe_dump(content))
+    response = answer("frf", own, "--at", "tool", "--df", 0.1)
+    highest = max(response["peaks"], key=lambda peak: peak["magnitude_m_per_n"])
+    assert axis["resonance_hz"] == pytest.approx([highest["frequency_hz"]] * 15, abs=0.2), "lines are 0.8 Hz apart"
+    on_lines = max(peak["magnitude_m_per_n"] for peak in answer("frf", own, "--at", "tool")["peaks"])
+    assert on_lines <= axis["magnitude_m_per_n"][-1] <= highest["magnitude_m_per_n"]
+    assert axis["continuous"] == [True] * 15
 
 
 def test_pictures(spindle: Path, tmp_path: Path) -> None:

@@ -212,6 +212,25 @@ def test_lobes_over_temperature_with_the_commanded_speed(case: Path) -> None:
     assert "belong together" in refusal("compare", case, "--depth-mm", 1.0)
 
 
+def test_the_speed_of_the_published_rule() -> None:
+    found = answer("speed", "--resonance-hz", 664.0, "--offset-hz", 24.0, "--teeth", 4, "--lobe", 2)
+    assert found["speed_rpm"] == pytest.approx(4800.0), "60 x 640 / (4 x 2)"
+    above = answer("speed", "--resonance-hz", 600.0, "--offset-hz", -20.0, "--teeth", 2)
+    assert above["speed_rpm"] == pytest.approx(18600.0)
+    assert "4800" in run("speed", "--resonance-hz", 664.0, "--offset-hz", 24.0, "--teeth", 4, "--lobe", 2).stderr
+
+
+def test_the_modes_of_a_response_are_those_that_it_was_made_of(case: Path) -> None:
+    write_frf(case.with_name("tip.csv"), LINES_HZ)
+    measured = other(case, (MODE, "frf: tip.csv"))
+    found = answer("modes", measured)
+    assert set(found) == {"x"} and found["x"]["relative_residual"] < 1e-3
+    (mode,) = found["x"]["modes"]
+    assert mode["frequency_hz"] == pytest.approx(922.0, rel=1e-4)
+    assert mode["damping_ratio"] == pytest.approx(0.011, rel=1e-2)
+    assert "no direction of this case names an FRF" in refusal("modes", case)
+
+
 def test_a_choice_is_told_as_one_pair_of_speed_and_feed(case: Path) -> None:
     asked = ("--programmed-rpm", 10000, "--depth-mm", 0.1, "--feed-mm-min", 1400)
     told = run("choose", case, *asked, "--json", "-")
