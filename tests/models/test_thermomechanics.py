@@ -8,15 +8,16 @@ from config.machine.spindle import spindle_folder
 from config.machine.spindle_chain import read_spindle
 from models.dynamics.assembly import CondensedAssembly
 from models.dynamics.bearings import CondensedShaft, properties_from_parameters
-from models.dynamics.identification import FIXED
+from models.dynamics.identification import FIXED, IdentificationError
 from models.model_file import ModelError
 from models.quality import Quality
 from models.records import FloatArray, Instant, MachineTemperatures, Trace
 from models.thermomechanics.artifact import model_from_json, model_to_json
-from models.thermomechanics.fitting import INTERVALS_MIN, MinuteSeries, fit_axis
+from models.thermomechanics.fitting import INTERVALS_MIN, MinuteSeries, fit_axis, minute_series
 from models.thermomechanics.history import TemperatureHistory
 from models.thermomechanics.regression import AxisRegression, Bounds, FittedRange, PropertyRegression
 from models.thermomechanics.resonance import peaks
+from models.thermomechanics.selection import select_signals
 from models.thermomechanics.series import identify_series
 from models.thermomechanics.tool_point import AxisTracker, ToolPointTracker
 
@@ -147,10 +148,37 @@ def test_least_squares_finds_the_interval_and_the_coefficients() -> None:
     assert axis.fitted_range is not None
 
 
-# Sensors
+# Signals
+
+
+def test_of_signals_that_are_alike_the_one_that_tells_most_of_the_properties_is_used() -> None:
+    rng = np.random.default_rng(7)
+    first, second = rng.normal(0.0, 1.0, (2, 500))
+    degc = np.stack([first + 0.3 * rng.normal(0.0, 1.0, 500), second, first, -first], axis=1)
+    found = select_signals(
+        ("near", "other", "best", "turned"), degc, ("kt_5 x",), (2.0 * first + 0.2 * second)[:, None]
+    )
+    assert found.chosen == ("other", "best")
+    assert found.groups == (("other",), ("best", "turned", "near"))
+    assert found.autocorrelation == pytest.approx(np.corrcoef(degc.T))
+    assert found.crosscorrelation[2, 0] == pytest.approx(np.corrcoef(first, 2.0 * first + 0.2 * second)[0, 1])
+    given = select_signals(("a", "b"), degc[:, [2, 3]], ("kt_5 x",), None, np.array([[0.1], [0.2]]))
+    assert given.chosen == ("b",)
 
 
 # Series
+
+
+def test_properties_are_interpolated_to_minutes_but_not_over_a_gap_of_more_than_20() -> None:
+    response_min = np.array([0.0, 10.5, 30.5, 51.0, 53.0])
+    recorded_min = np.arange(-15.0 * 6, 60.0 * 6) / 6.0
+    series = minute_series(response_min, 2.0 * response_min[:, None], recorded_min, recorded_min[:, None])
+    assert series.time_min.tolist() == [*range(31), 31, 50, 51, 52, 53], "in the gap beside a response alone"
+    assert series.values[:, 0] == pytest.approx(2.0 * series.time_min)
+    assert series.degc[:, 0] == pytest.approx(series.time_min - 5.0 / 12.0), "the mean of the minute that ends there"
+    assert series.past_degc[10.0] == pytest.approx(series.degc - 10.0)
+    with pytest.raises(IdentificationError, match="no minute of the responses"):
+        minute_series(response_min, response_min[:, None], recorded_min + 100.0, recorded_min[:, None])
 
 
 def test_a_series_is_exact_on_responses_of_known_bearings() -> None:
