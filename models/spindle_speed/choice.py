@@ -137,7 +137,7 @@ def choose_speed(
 def deepest_speed(
     lobes: StabilityLobes, demand: SpeedDemand, range_rpm: tuple[float, float] | None = None
 ) -> SpeedChoice | None:
-    """Return the speed with the greatest limiting depth, for when none is stable to the demand with its margin.
+    """Return the speed that bears most within the tolerance to both sides, for when none bears depth and margin.
 
     None when even there the limiting depth is below the programmed one.
 

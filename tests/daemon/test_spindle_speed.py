@@ -146,6 +146,18 @@ async def test_a_flagged_property_and_the_hysteresis_together_stay_within_what_i
         assert ("more than the tolerance of" in picture["alarm"]) is not covered
 
 
+async def test_a_sensor_whose_step_would_make_the_speed_hunt_freezes_it(tmp_path: Path) -> None:
+    bench = SpeedRig(tmp_path, sensor_step_k=1.0, hysteresis_rpm=10.0)
+    async with running(bench.rig):
+        await bench.rig.turn()
+        assert (await bench.operation())[:2] == (9000.0, 1800.0)
+        picture = bench.picture()
+        largest = max(picture["change_per_sensor_step_rpm"].values())
+        assert largest > 5.0 and picture["state"] == "HOLD"
+        assert f"set the hysteresis above {2 * largest:.3g}" in picture["alarm"]
+        assert set(bench.written()) <= {0.0, 9000.0}
+
+
 async def test_no_stable_speed_is_the_programmed_one_and_an_alarm(bench: SpeedRig) -> None:
     assert (await bench.operation(D=15.0))[:2] == (9000.0, 1800.0)
     assert bench.picture()["state"] == "NO_STABLE_SPEED"

@@ -11,6 +11,7 @@ from models.records import Phase
 from models.spindle_speed.tuning import (
     SpeedChoice,
     SpeedState,
+    SpeedTuningError,
     SpeedTuningInputs,
     SpeedTuningMemory,
     SpeedTuningSettings,
@@ -44,6 +45,13 @@ def begun(speed_rpm: float = 8600.0) -> SpeedTuningMemory:
     command, memory = step(initial_memory(8000.0), at(0.0, choice(speed_rpm)), SETTINGS)
     assert command.write
     return memory
+
+
+def test_a_step_of_a_sensor_may_move_the_target_by_less_than_half_the_hysteresis() -> None:
+    SETTINGS.check_resolution(24.9)
+    for change_rpm in (25.0, 40.0, math.nan, math.inf):
+        with pytest.raises(SpeedTuningError, match="the speed would hunt"):
+            SETTINGS.check_resolution(change_rpm)
 
 
 def test_the_first_safe_block_takes_the_choice_with_its_feed() -> None:
