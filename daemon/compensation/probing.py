@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daemon.cnc.events import Journal
+from daemon.cnc.macro_block import ECHO_SLACK_UM, Echo
 from daemon.compensation.references import References
 from daemon.compensation.skill_monitor import SkillWatch
 from daemon.compensation.tool import ToolInSpindle
@@ -17,6 +18,9 @@ from models.records import CncSample, FloatArray, Instant, ProbeSample, ThermalE
 
 LOST = "the link to the CNC was lost before it took effect; ask again"
 FAULTY = "the output went into FAULT before it took effect; acknowledge the fault, then measure again"
+GUARD_BETWEEN_S = 1.0
+"""A guard that moved so shortly before the program asks has moved since it measured, which takes longer [s]."""
+GUARD_BETWEEN = "the guard moved the axes between measuring and asking: call it before you measure, and measure again"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,11 +54,19 @@ class MeasuredByNc:
         self._probe: ProbeSample | None = None
         self.tool = ToolInSpindle(references)
         self._polled_s: float | None = None
+        self._polled: tuple[float, Echo] | None = None
+        """CNC clock [s] and echo of the latest poll."""
+        self._moved_s = -np.inf
+        """When the guard moved an axis last, on the CNC's clock [s]."""
         self.tool_setting: tuple[bool, ...] | None = None
         self.probe_um: FloatArray | None = None
 
-    def on_sample(self, sample: CncSample, estimate: ThermalErrorEstimate | None) -> None:
-        """Take one poll: the tool in the spindle, and where the axes stand."""
+    def on_sample(self, sample: CncSample, echo: Echo, estimate: ThermalErrorEstimate | None) -> None:
+        """Take one poll: the tool in the spindle, where the axes stand, and what the guard has done."""
+        before, self._polled = self._polled, (sample.clock_s, echo)
+        if before is not None and echo.time_s is not None:
+            stood = np.allclose(echo.applied_um, before[1].applied_um, rtol=0.0, atol=ECHO_SLACK_UM, equal_nan=True)
+            self._moved_s = self._moved_s if stood else echo.time_s
         now_s = sample.time.monotonic_s
         gap_s = self._references.away_s(sample) if self._polled_s is None else now_s - self._polled_s
         self._polled_s = now_s
@@ -65,6 +77,8 @@ class MeasuredByNc:
         """Make what is applied the baseline of the tool in the spindle; return why it is refused."""
         if (unknown := self.tool.unknown()) is not None:
             return f"the tool cannot be set: {unknown}"
+        if self._guard_between:
+            return GUARD_BETWEEN
         output = self._look()
         if refusal := _tool_setting_refusal(output.memory, output.inputs, self._limits):
             return refusal
@@ -86,11 +100,18 @@ class MeasuredByNc:
         sample, deviations = judged_probe(
             output.memory, output.inputs, self._limits, axis=axis, deviation_um=deviation_um, now=output.now
         )
+        if self._guard_between:
+            sample = replace(sample, accepted=False, reason=GUARD_BETWEEN)
         if sample.accepted:
             self._probe, self.probe_um = sample, deviations
         else:
             self._history.probe(sample)
         return sample.reason
+
+    @property
+    def _guard_between(self) -> bool:
+        """What the program measured was measured with another offset than the one that is applied now."""
+        return self._polled is not None and 0.0 <= self._polled[0] - self._moved_s < GUARD_BETWEEN_S
 
     @property
     def waiting(self) -> bool:

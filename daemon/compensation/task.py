@@ -218,13 +218,13 @@ class ControlTask:
         self.journal.raise_fault(*problems)
         self.guard_watch.follow(session.echo, sample)
         await self._references.on_poll(session.cnc, sample, asked_s)
-        self._measured.on_sample(sample, self._estimate)
+        self._measured.on_sample(sample, session.echo, self._estimate)
         await self._desk.look(session)
         if self.memory is None:
             now = self._clock.now()
             self._startup.settle_writes(self._parts.history, sample, session.echo, now)
             self.memory = self._startup.begin(session, now.monotonic_s, explained=not problems)
-            self._measured.on_sample(sample, self._estimate)
+            self._measured.on_sample(sample, session.echo, self._estimate)
         self._references.keep()
 
     # --- deciding and writing ------------------------------------------------------------
