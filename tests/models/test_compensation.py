@@ -180,6 +180,28 @@ def test_one_axis_disabled_retreats_alone():
     assert command.enable == (False, True)
 
 
+def test_an_axis_that_is_switched_off_retreats_while_the_other_is_held():
+    memory, before = active()
+    memory, command = run(memory, 60, start_s=600.0, confidence=0.0)
+    assert memory.state is OutputState.HOLD
+    off = OperatorRequest(disable=frozenset({"y"}))
+    memory, command = run(memory, 300, start_s=660.0, confidence=0.0, request=off)
+    assert memory.state is OutputState.HOLD
+    assert command.compensation_um == pytest.approx([0.0, before.compensation_um[1]], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("phase", "state"), [(Phase.SAFE_POINT, OutputState.ACTIVE), (Phase.CUTTING, OutputState.HOLD)]
+)
+def test_less_confidence_lets_go_of_the_offset_at_a_safe_point_and_freezes_it_in_a_cut(phase, state):
+    memory, before = active()
+    partly = {"confidence": 0.5 * (LIMITS.min_confidence + LIMITS.full_confidence), "phase": phase}
+    memory, command = run(memory, 300, start_s=600.0, **partly)
+    assert memory.state is state
+    left = 1.0 if state is OutputState.HOLD else 0.5
+    assert command.compensation_um == pytest.approx(left * before.compensation_um, abs=0.2)
+
+
 def test_switching_on_in_a_retreat_stops_it_where_it_is_written_whatever_the_guard_has_done_since_the_last_poll():
     memory, _ = active()
     memory, command = run(memory, 30, start_s=600.0, reference_id=None, request=OperatorRequest(zero=True))
