@@ -36,7 +36,10 @@ class GuardConfig(Section):
         description="language of the programs: custom macro B, SINUMERIK with R parameters and SD43900, or LinuxCNC",
     )
     program: int = Field(
-        9010, ge=1, le=9999 - PROGRAMS + 1, description=f"O number of the guard; {PROGRAMS} numbers from here are used"
+        9010,
+        ge=1,
+        le=9999 - PROGRAMS + 1,
+        description=f"O number of the guard; {PROGRAMS} numbers from here are used, on a SINUMERIK {PROGRAMS + 1}",
     )
     memory: Annotated[int, Field(ge=500, le=999)] = Field(
         590,
@@ -98,6 +101,11 @@ class GuardConfig(Section):
         if problems:
             raise KeyProblems(problems)
         return self
+
+    @property
+    def programs(self) -> range:
+        """Numbers of the NC programs; the last of a SINUMERIK's lets the clock run, and all others call it."""
+        return range(self.program, self.program + PROGRAMS + (self.dialect == "sinumerik"))
 
     def number_of(self, axis: str) -> int | None:
         """Return the control's number of an axis, None where nothing says it."""

@@ -17,8 +17,6 @@ from models.control.reference_records import ReferenceRules
 from models.control.state import OutputLimits
 from models.units import um_from_mm
 
-GUARD_PROGRAMS = 5
-"""Guard, initialise, request, safe point begins, safe point ends."""
 ROUNDING = 0.51
 """Half an increment, and a little for the arithmetic."""
 DWELL_POLLS = 2.0
@@ -105,9 +103,8 @@ def echo_slack_um(configuration: Configuration) -> float:
 
 def guard_programs(configuration: Configuration) -> frozenset[int]:
     """Return the O numbers of the NC programs that part programs call for us: the guard's, and the speed program."""
-    first = configuration.cnc.guard.program
     speed = configuration.spindle_speed
-    return frozenset(range(first, first + GUARD_PROGRAMS)) | ({speed.program} if speed is not None else set())
+    return frozenset(configuration.cnc.guard.programs) | ({speed.program} if speed is not None else set())
 
 
 def reference_rules(

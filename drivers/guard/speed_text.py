@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from enum import IntEnum
 
 from config.schema import Configuration
-from config.schema.guard import PROGRAMS
 from config.schema.spindle_speed import SpindleSpeedConfig
 from drivers.guard.text import LONGEST_LINE, RETRIES, RETRY_MS, GuardPrograms, GuardTextError, decimal, filled
 
@@ -58,12 +57,11 @@ def speed_program(configuration: Configuration) -> str:
     if tuning.macros.check is None:
         raise GuardTextError(SPEED_CHECK_MISSING)
     is_sinumerik = guard.dialect == "sinumerik"
-    last = guard.program + PROGRAMS - (0 if is_sinumerik else 1)
-    if guard.program <= tuning.program <= last:
+    if tuning.program in guard.programs:
         letters = "TP" if is_sinumerik else "O"
         raise GuardTextError(
             f"spindle_speed.program: {letters}{tuning.program} is one of the guard's, {letters}{guard.program} to "
-            f"{letters}{last}; choose another number"
+            f"{letters}{guard.programs[-1]}; choose another number"
         )
     fields = _fields(configuration, tuning)
     if is_sinumerik:

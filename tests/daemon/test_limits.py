@@ -1,11 +1,15 @@
 """From configuration and commissioning record to the limits of the output."""
 
+import re
+
 import pytest
 from control_rig import machine, record_for
 
 from config.records.commissioning import CommissionedAxis
+from config.schema.cnc import RequestMacrosConfig
 from config.schema.spindle_speed import SpindleSpeedConfig
 from daemon.cnc.limits import commissioned_factors, guard_programs, output_limits
+from drivers.guard.programs import guard_program
 
 
 def test_where_less_moves_than_is_written_bound_and_step_shrink_with_it(tmp_path):
@@ -47,3 +51,17 @@ def test_the_programs_that_are_no_part_program(tmp_path):
     assert guard_programs(configuration) == {9010, 9011, 9012, 9013, 9014}
     speed = SpindleSpeedConfig.model_construct(program=9020)
     assert guard_programs(configuration.model_copy(update={"spindle_speed": speed})) == {*range(9010, 9015), 9020}
+
+
+@pytest.mark.parametrize("dialect", ["fanuc", "sinumerik"])
+def test_every_program_that_the_text_of_the_guard_holds_is_known_to_be_none_of_the_part(tmp_path, dialect):
+    cnc = machine(tmp_path).cnc
+    request = RequestMacrosConfig(counter=520, kind=521, axis=522, value_mm=523, acknowledge=524)
+    macros = cnc.macros.model_copy(update={"request": request, "safe_flag": 125})
+    guard = cnc.guard.model_copy(update={"dialect": dialect})
+    configuration = machine(tmp_path).model_copy(
+        update={"cnc": cnc.model_copy(update={"macros": macros, "guard": guard})}
+    )
+    held = re.findall(r"^(?:O|%_N_TP)(\d+)", guard_program(configuration), re.MULTILINE)
+    assert len(held) == (6 if dialect == "sinumerik" else 5)
+    assert guard_programs(configuration) == {int(number) for number in held}
