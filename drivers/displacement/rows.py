@@ -101,12 +101,13 @@ class RowReader:
         """Whether the header, if the files have one, has been seen."""
         return self._columns is not None
 
-    def read(self, line: bytes, number: int) -> DisplacementSample | None:
+    def read(self, line: bytes, number: int, encoding: str | None = None) -> DisplacementSample | None:
         """Return the sample of a line, counted from 1; None for every other line, and for a reported bad row.
 
+        `encoding`: what the file says of itself.
         Raises UnreadableFileError at a header that lacks a configured column.
         """
-        text = line.decode(self._encoding, errors="replace").rstrip("\r\n")
+        text = line.decode(encoding or self._encoding, errors="replace").rstrip("\r\n").lstrip("\ufeff")
         if self._file_config.header and text.lstrip('"').startswith(self._file_config.header.lstrip('"')):
             try:
                 self._columns = self._columns_by_header(self._fields(text), number)

@@ -91,7 +91,7 @@ class DisplacementCsvSource:
                 continue
             file = self._file(look)
             for row, (number, line) in enumerate(look.lines, start=1):
-                sample = self._row(file, line, number)
+                sample = self._row(file, line, number, look.encoding)
                 if sample is not None:
                     yield sample
                 if row % ROWS_PER_TURN == 0:
@@ -167,11 +167,11 @@ class DisplacementCsvSource:
         first = next(iter(self._files.values()))
         return start_of(self._config.file) is not None and (file.began_anew or file is not first)
 
-    def _row(self, file: _File, line: bytes, number: int) -> DisplacementSample | None:
+    def _row(self, file: _File, line: bytes, number: int, encoding: str | None) -> DisplacementSample | None:
         if not file.usable or file.reader is None:
             return None
         try:
-            sample = file.reader.read(line, number)
+            sample = file.reader.read(line, number, encoding)
         except UnreadableFileError as error:
             file.usable = False
             file.refusal = str(error)

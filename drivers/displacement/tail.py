@@ -35,13 +35,27 @@ class Look:
     """Numbers of lines that were longer than allowed and have been skipped."""
     more: bool = False
     """There is more to read at once."""
+    encoding: str | None = None
+    """What the file's first bytes say of it, whatever it should be."""
+
+
+MARKS = {b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be"}
+"""Byte order marks at the beginning of a file -> its encoding."""
+
+
+def line_ends(head: bytes) -> tuple[bytes, str | None]:
+    """Return what ends a line of a file that begins so, and what that says of its encoding."""
+    if encoding := MARKS.get(head[:2]):
+        return "\n".encode(encoding), encoding
+    alone = b"\n" not in head and b"\r" in head[:-1]
+    return (b"\r" if alone else b"\n"), None
 
 
 class FileTail:
     def __init__(self, path: Path, max_line_bytes: int) -> None:
         self.path = path
         self._max_line_bytes = max_line_bytes
-        self._look_bytes = max(LOOK_BYTES, max_line_bytes + 2)
+        self._look_bytes = max(LOOK_BYTES, max_line_bytes + 2) // 2 * 2
         self._seen: tuple[int, int] | None = None
         self._head = b""
         self._restart()
@@ -66,8 +80,9 @@ class FileTail:
             data = os.pread(file.fileno(), self._look_bytes, self._offset)
         more = len(data) == self._look_bytes
         self._seen = None if more else now
-        lines, overlong = self._consume(data)
-        return Look(path=self.path, lines=lines, restarted=restarted, overlong=overlong, more=more)
+        newline, encoding = line_ends(self._head)
+        lines, overlong = self._consume(data, newline)
+        return Look(path=self.path, lines=lines, restarted=restarted, overlong=overlong, more=more, encoding=encoding)
 
     def _is_another(self, descriptor: int) -> bool:
         if os.fstat(descriptor).st_size < self._offset:
@@ -76,11 +91,11 @@ class FileTail:
             return True
         return os.pread(descriptor, len(self._last), self._offset - len(self._last)) != self._last
 
-    def _consume(self, data: bytes) -> tuple[tuple[tuple[int, bytes], ...], tuple[int, ...]]:
+    def _consume(self, data: bytes, newline: bytes) -> tuple[tuple[tuple[int, bytes], ...], tuple[int, ...]]:
         lines: list[tuple[int, bytes]] = []
         overlong: list[int] = []
         at = 0
-        while (end := data.find(b"\n", at) + 1) > 0:
+        while (end := _line_end(data, at, newline)) > 0:
             self._number += 1
             if self._skipping or end - at > self._max_line_bytes:
                 overlong.append(self._number)
@@ -94,6 +109,14 @@ class FileTail:
         self._offset += at
         self._last = (self._last + data[:at])[-HEAD_BYTES:]
         return tuple(lines), tuple(overlong)
+
+
+def _line_end(data: bytes, at: int, newline: bytes) -> int:
+    """Return where the line that begins at `at` ends, 0 where it does not end yet."""
+    end = data.find(newline, at)
+    while end >= 0 and (end - at) % len(newline):  # half of one character and half of the next
+        end = data.find(newline, end + 1)
+    return end + len(newline) if end >= 0 else 0
 
 
 class FileFollower:

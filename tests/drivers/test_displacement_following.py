@@ -47,6 +47,30 @@ async def test_a_half_written_row_waits_for_its_end(path: Path) -> None:
     assert follower.source.problems == 0
 
 
+@pytest.mark.parametrize("mark", [b"\xff\xfe", b"\xfe\xff", b""])
+async def test_a_file_whose_lines_end_otherwise_is_followed_byte_by_byte(path: Path, mark: bytes) -> None:
+    """UTF-16 says so itself; some instruments end a line with a carriage return alone."""
+    encoding = tail.MARKS.get(mark, "latin-1")
+
+    def written(text: str) -> bytes:
+        return text.replace("\n", "\r\n" if mark else "\r").encode(encoding)
+
+    path.write_bytes(mark + written(HEADER + row(0)))
+    async with Follower(config(path)) as follower:
+        await follower.until(1)
+        for minute in (1, 2):
+            for at, byte in enumerate(written(row(minute))):
+                with path.open("ab") as file:
+                    file.write(bytes([byte]))
+                if at % 9 == 0:
+                    await asyncio.sleep(0.02)
+            await follower.until(1 + minute)
+        path.write_bytes(mark + written(HEADER + row(3)))
+        await follower.until(4)
+    assert minutes(follower.samples) == [0, 1, 2, 3]
+    assert follower.source.problems == 0
+
+
 async def test_a_truncated_file_is_read_anew_and_repeats_nothing(path: Path) -> None:
     append(path, HEADER + row(0) + row(1))
     async with Follower(config(path)) as follower:
