@@ -29,7 +29,7 @@ class BlankTest(Section):
 
     note: str | None = Field(None, description="what a reader should know: machine, holder, direction, temperatures")
     blank: SegmentDescription = Field(description="the cylinder, as far as it stands out of the holder")
-    second_point_mm: float = Field(gt=0, description="distance of the second point from the tip [mm]")
+    second_point_mm: float = Field(ge=0.01, description="distance of the second point from the tip [mm]")
     responses: BlankResponses = Field(description="the three measured responses")
     structural_damping: float = Field(0.002, ge=0, lt=0.5, description="zeta of the blank's E (1 + j zeta)")
     materials: dict[Name, MaterialDescription] = Field({}, description="materials beside the shipped ones")

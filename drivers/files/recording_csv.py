@@ -53,6 +53,8 @@ LONGEST_STEP_S = 27 * 24 * HOUR_S
 """A run goes on for hours; a day that is read as a month is farther off [s]."""
 FIRST_ROW = 2
 """Line of the row after the header, where nothing stands before it."""
+LARGEST = 1e9
+"""No sensor says more, in whatever unit; what stands for a missing value may."""
 
 
 def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Recording:
@@ -278,7 +280,7 @@ def _numbers(
 ) -> FloatArray:
     try:
         numbers = np.array([float(fields[i]) for i in wanted])
-        if decimal != "," and np.isfinite(numbers).all():
+        if decimal != "," and (np.abs(numbers) <= LARGEST).all():
             return numbers
     except ValueError:
         pass
@@ -294,7 +296,7 @@ def _number(place: Place, column: str, text: str, decimal: str | None) -> float:
         number = float(text if decimal == "." else text.replace(",", "."))
     except ValueError:
         raise place.refuse(f"{text[:40]!r} is not a number; {_advice(text, decimal)}", column) from None
-    if math.isinf(number):
+    if abs(number) > LARGEST:
         raise place.refuse(f"{text!r} is not a possible value; leave the field empty where it is missing", column)
     return number
 

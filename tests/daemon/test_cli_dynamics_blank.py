@@ -109,6 +109,12 @@ REFUSED: dict[str, tuple[Change, str]] = {
         ),
         r"test\.yaml:3:.*second_point_mm: must lie between the tip and the holder, 70 mm",
     ),
+    "a point at the tip": (
+        lambda at, _: (at / "test.yaml").write_text(
+            TEST.replace("second_point_mm: 30", "second_point_mm: 1e-320"), "utf-8"
+        ),
+        r"test\.yaml:3:.*second_point_mm: this must be at least 0\.01",
+    ),
     "a sensor turned round": (
         lambda at, values: write(at / "cross.csv", -values[1]),
         "cross moves against the tip's: one sensor points the other way",

@@ -111,6 +111,7 @@ def test_times_count_from_the_first_row_in_seconds(tmp_path: Path, unit: str, fi
         (GOOD + "30,0,1,20\n", "day.csv:4: has 4 fields where the header has 5"),
         (GOOD + "30,0,abc,20,21\n", "day.csv:4: column c1: 'abc' is not a number"),
         (GOOD + "30,0,1,20,inf\n", "day.csv:4: column t2: 'inf' is not a possible value"),
+        (GOOD + "30,0,1,20,-1e308\n", "day.csv:4: column t2: '-1e308' is not a possible value"),
         (GOOD + ",0,1,20,21\n", "day.csv:4: column t: is empty; every row needs its time"),
         (GOOD + "nan,0,1,20,21\n", "day.csv:4: column t: 'nan' is not a time"),
         (GOOD + "15,0,1,20,21\n", "day.csv:4: column t: '15' does not come after the row before; the same time"),
