@@ -16,6 +16,7 @@ from typing import BinaryIO, Self
 
 from pydantic import ValidationError
 
+from config.files import without_waiting
 from config.schema.base import first_fault
 from config.signing import SigningError, TrustedKeys
 from daemon.backup.manifest import (
@@ -69,12 +70,13 @@ class Archive:
     def __init__(self, path: Path) -> None:
         self._path = path
         try:
-            self._file = path.open("rb")
+            self._file = open(path, "rb", opener=without_waiting)  # noqa: SIM115 (closed with the archive)
         except OSError as error:
             raise self._refused(f"this is no whole back-up ({error}); take another one") from error
         try:
             self._members = {member.name: member for member in self._read_members()}
             self.manifest = self._read_manifest()
+            self._sha256 = {item.name: item.sha256 for item in self.manifest.files}
         except BaseException:
             self._file.close()
             raise
@@ -120,12 +122,11 @@ class Archive:
                     file.write(piece)
 
     def _proved(self, name: str) -> Iterator[bytes]:
-        (item,) = (item for item in self.manifest.files if item.name == name)
         digest = hashlib.sha256()
         for piece in self._pieces(self._members[name]):
             digest.update(piece)
             yield piece
-        if digest.hexdigest() != item.sha256:
+        if digest.hexdigest() != self._sha256[name]:
             raise self._refused(f"{name} was damaged after the back-up was made; take another one")
 
     def _pieces(self, member: Member) -> Iterator[bytes]:

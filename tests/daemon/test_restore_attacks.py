@@ -197,6 +197,13 @@ def test_a_crafted_structure_is_refused_by_its_first_block(tmp_path: Path, struc
     assert "\x1b" not in str(refused.value)
 
 
+def test_a_pipe_in_place_of_an_archive_is_refused_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "pipe.tar"
+    os.mkfifo(path)
+    with pytest.raises(BackupError, match="no whole back-up"):
+        read_manifest(path)
+
+
 def test_a_sparse_archive_that_expands_to_gigabytes_is_refused_in_a_second(
     installation: Installation, tmp_path: Path
 ) -> None:
