@@ -89,6 +89,19 @@ async def test_half_sent_http_requests_are_bounded_and_others_are_answered(monke
     assert own_ends(number) == 0
 
 
+async def test_an_answer_that_nobody_takes_does_not_stay_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of 256 viewers could ask for megabytes of a series and read none of them: more than the service may have."""
+    monkeypatch.setattr(server, "SEND_S", 0.3)
+    number, large = free_port(), PlainTextResponse("x" * 20_000_000)
+    async with running(lambda on: serve_web(large, "127.0.0.1", number, None, on)), asyncio.timeout(60):
+        with socket.create_connection(("127.0.0.1", number)) as dead:
+            dead.sendall(b"GET / HTTP/1.1\r\nHost: toolpoint\r\n\r\n")
+            while own_ends(number) < 2:
+                await asyncio.sleep(0.01)
+            while own_ends(number) > 1:
+                await asyncio.sleep(0.05)
+
+
 async def test_half_said_requests_on_the_control_socket_are_bounded_and_others_are_answered(tmp_path: Path) -> None:
     path = tmp_path / "s"
     with capture_logs() as logs:

@@ -16,7 +16,7 @@ from uvicorn.server import ServerState
 from config.files import read_whole
 from daemon.monitor.connections import BoundedConnections, Conversation
 from daemon.monitor.listening import listening
-from daemon.monitor.web.gate import CLOSE, HEADERS
+from daemon.monitor.web.gate import CLOSE, HEADERS, SEND_S
 from daemon.monitor.web.problems import problem_response
 
 log = structlog.get_logger(__name__)
@@ -45,6 +45,7 @@ class _Connection(H11Protocol):
         self.ended = asyncio.Event()
         self._conversation = conversation
         self._head: asyncio.TimerHandle | None = None
+        self._untaken: asyncio.TimerHandle | None = None
 
     def _abort(self) -> None:
         self.transport.abort()
@@ -77,6 +78,17 @@ class _Connection(H11Protocol):
     def on_response_complete(self) -> None:
         super().on_response_complete()
         self._look()
+        if self._untaken is not None:
+            self._untaken.cancel()
+        self._wait_until_taken(0)
+
+    def _wait_until_taken(self, waited: int) -> None:
+        """End the connection when of an answer that is complete nothing is taken: all of it waits in memory."""
+        waits = self.transport.get_write_buffer_size()
+        if 0 < waited <= waits:
+            self._abort()
+        elif waits:
+            self._untaken = self.loop.call_later(SEND_S, self._wait_until_taken, waits)
 
     def _look(self) -> None:
         """Bound the time of a head that has begun; note whether a request is under way."""
@@ -97,8 +109,9 @@ class _Connection(H11Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         super().connection_lost(exc)
         self._unset_keepalive_if_required()
-        if self._head is not None:
-            self._head.cancel()
+        for timer in (self._head, self._untaken):
+            if timer is not None:
+                timer.cancel()
         self.ended.set()
 
 
