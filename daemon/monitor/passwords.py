@@ -1,10 +1,11 @@
 """Checks passwords, one at a time and not without end: whoever guesses waits. Monitor and OPC UA server share it."""
 
 import asyncio
+import math
 import secrets
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from daemon.monitor.accounts import Account, hashed, verified
 
@@ -29,38 +30,18 @@ class TooManyWrongError(WrongPasswordError):
         self.wait_s = wait_s
 
 
-class LoginLimit:
-    """Counts wrong passwords by address and by account."""
-
-    def __init__(self, now_s: Callable[[], float]) -> None:
-        self._now_s = now_s
-        self._failures: dict[str, deque[float]] = {}
-
-    def wait_s(self, *keys: str) -> float:
-        """Return how long one of these must wait before another password is taken [s]."""
-        return max((self._wait_of(key) for key in keys), default=0.0)
-
-    def _wait_of(self, key: str) -> float:
-        failures = self._failures.get(key)
-        if not failures or len(failures) < MOST_FAILURES:
-            return 0.0
-        return max(0.0, failures[0] + FAILURE_WINDOW_S - self._now_s())
-
-    def failed(self, *keys: str) -> None:
-        """Note a wrong password."""
-        for key in keys:
-            failures = self._failures.pop(key, None) or deque(maxlen=MOST_FAILURES)
-            failures.append(self._now_s())
-            self._failures[key] = failures
-        while len(self._failures) > MOST_ADDRESSES:
-            del self._failures[next(iter(self._failures))]
-
-
 class Passwords:
-    """Checks passwords against the hashes of the accounts."""
+    """Checks passwords against the hashes of the accounts, and counts the wrong ones.
+
+    An account's own people are not kept out by others who guess: where it has logged in before, only what is wrong from
+    there counts.
+    """
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
-        self._limit = LoginLimit(now_s)
+        self._now_s = now_s
+        self._failures: dict[str, deque[float]] = {}
+        self._known: dict[tuple[str, str], None] = {}
+        """Accounts, and addresses from which they have logged in."""
         self._decoy = ""
         """Hash that is checked for a name that does not exist."""
         self._one_at_a_time = asyncio.Lock()
@@ -68,7 +49,9 @@ class Passwords:
 
     async def check(self, accounts: Mapping[str, Account], name: str, password: str, address: str) -> Account:
         """Return the account whose password this is; raises WrongPasswordError, or TooManyWrongError."""
-        keys = (f"address {address}", f"account {name[:MOST_NAME]}")
+        keys = [f"address {address}"]
+        if (name, address) not in self._known:
+            keys.append(f"account {name[:MOST_NAME]}")
         self._refuse_guessing(keys)
         async with self._one_at_a_time:
             self._refuse_guessing(keys)  # those before it in the queue may have been wrong
@@ -76,13 +59,26 @@ class Passwords:
             known = accounts.get(name)
             right = await asyncio.to_thread(verified, known.password_hash if known else self._decoy, password)
             if known is None or not right:
-                self._limit.failed(*keys)
+                self._failed(keys)
         if known is None or not right:
             raise WrongPasswordError(
                 "name or password is wrong; `toolpoint users list` on the computer shows the names"
             )
+        self._known[name, address] = None
+        if len(self._known) > MOST_ADDRESSES:
+            del self._known[next(iter(self._known))]
         return known
 
-    def _refuse_guessing(self, keys: tuple[str, str]) -> None:
-        if (wait_s := self._limit.wait_s(*keys)) > 0.0:
+    def _refuse_guessing(self, keys: Sequence[str]) -> None:
+        counted = [self._failures[key] for key in keys if key in self._failures]
+        full = [failures[0] for failures in counted if len(failures) == MOST_FAILURES]
+        if (wait_s := max(full, default=-math.inf) + FAILURE_WINDOW_S - self._now_s()) > 0.0:
             raise TooManyWrongError(wait_s)
+
+    def _failed(self, keys: Sequence[str]) -> None:
+        for key in keys:
+            failures = self._failures.pop(key, None) or deque(maxlen=MOST_FAILURES)
+            failures.append(self._now_s())
+            self._failures[key] = failures
+        while len(self._failures) > MOST_ADDRESSES:
+            del self._failures[next(iter(self._failures))]

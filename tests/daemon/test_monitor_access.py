@@ -13,8 +13,9 @@ from daemon.history.reader import HistoryReader
 from daemon.monitor.accounts import Accounts
 from daemon.monitor.web import access
 from daemon.monitor.web.access import Access
+from daemon.monitor.web.problems import ProblemError
 
-ACTIONS = [("reference", None), ("enable", {}), ("disable", {}), ("acknowledge", None)]
+ACTIONS = [("reference", None), ("enable", {}), ("disable", {}), ("acknowledge", {"fault": 1})]
 
 
 async def test_without_accounts_anybody_looks_and_nobody_acts(tmp_path):
@@ -190,3 +191,37 @@ def test_no_token_that_was_not_handed_out_is_a_session(tmp_path, token):
     found = Access(accounts=Accounts(tmp_path / "users"), session_s=1.0, secure=False, report=lambda *_: None)
     scope = {"type": "http", "headers": [(b"cookie", f"toolpoint={token}".encode("latin-1"))]}
     assert found.by_session(Request(scope)) is None
+
+
+async def test_who_guesses_elsewhere_keeps_nobody_out_where_he_has_logged_in_before(tmp_path):
+    path, now = accounts_file(tmp_path, anna="viewer"), [0.0]
+    found = Access(
+        accounts=Accounts(path), session_s=7200.0, secure=False, report=lambda *_: None, now_s=lambda: now[0]
+    )
+
+    async def tried(password, address):
+        try:
+            await found.login("anna", password, address)
+        except ProblemError as refused:
+            return refused.status
+        return 200
+
+    assert await tried(PASSWORD, "her own") == 200
+    assert [await tried("wrong", f"10.0.0.{k}") for k in range(6)] == [401] * 5 + [429], "from wherever it comes"
+    assert await tried(PASSWORD, "her own") == 200
+    assert await tried(PASSWORD, "a new one") == 429
+    assert [await tried("wrong", "her own") for _ in range(6)] == [401] * 5 + [429], "from there it is counted too"
+    now[0] += 61.0
+    assert await tried(PASSWORD, "her own") == 200 and await tried(PASSWORD, "a new one") == 200
+
+
+async def test_a_live_stream_of_http_basic_ends_with_its_account(tmp_path):
+    path = accounts_file(tmp_path, anna="viewer")
+    async with monitor(tmp_path, users=path) as bench:
+        reader, writer = await asyncio.open_connection("127.0.0.1", bench.port)
+        given = base64.b64encode(f"anna:{PASSWORD}".encode()).decode()
+        writer.write(f"GET /api/v1/events HTTP/1.1\r\nHost: localhost\r\nAuthorization: Basic {given}\r\n\r\n".encode())
+        await asyncio.wait_for(reader.readuntil(b"event: status"), 20.0)
+        accounts_file(tmp_path, otto="viewer")
+        await asyncio.wait_for(reader.read(-1), 20.0)
+        writer.close()

@@ -99,8 +99,13 @@ async def events(
     assert isinstance(live, Live)
     live.check_room()
 
+    def account() -> Any:
+        return None if access.accounts is None else access.accounts.now().get(person.name)
+
+    begun_by = account()
+
     def allowed() -> bool:
-        return access.accounts is None or not person.csrf or access.by_session(request) is not None
+        return account() == begun_by and (not person.csrf or access.by_session(request) is not None)
 
     return _Stream(EventStream(live, cycles=temperatures, allowed=allowed))
 
