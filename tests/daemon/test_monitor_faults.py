@@ -4,13 +4,14 @@ import asyncio
 import contextlib
 import json
 import socket
+import threading
 
 import pytest
 import structlog
 from monitor_bench import monitor
 
 from daemon.monitor import connections
-from daemon.monitor.web import gate, live, server
+from daemon.monitor.web import application, gate, live, recorded, server
 from daemon.rate_limit import BURST
 
 HEAD = b"GET %s HTTP/1.1\r\nHost: localhost\r\n\r\n"
@@ -183,3 +184,43 @@ async def test_a_head_that_is_too_long_is_refused_also_when_it_arrives_at_once(t
         writer.write(b"GET / HTTP/1.1\r\nHost: localhost\r\n" + b"".join(b"X: %b\r\n" % x for x in lines) + b"\r\n")
         assert "no HTTP request, or its head is longer than 16384 byte" in (await refusal(reader, 400))["detail"]
         writer.close()
+
+
+async def test_a_flood_of_requests_keeps_the_control_neither_from_its_turn_nor_from_its_threads(tmp_path, monkeypatch):
+    """Estimate and reference have threads to wait for, and the control a turn of the loop between two requests."""
+    blocked, made, most = threading.Event(), [0], 0
+
+    def held_up(*_):
+        blocked.wait(60.0)
+        return b""
+
+    monkeypatch.setattr(application, "generate_latest", held_up)
+    monkeypatch.setattr(application, "openapi_document", held_up)
+    async with monitor(tmp_path) as bench, asyncio.timeout(120):
+        flood = [await connected(bench.port) for _ in range(2 * recorded.MOST_WAITING)]
+        for place, (_, writer) in enumerate(flood):
+            writer.write(HEAD % (b"/metrics" if place % 2 else b"/openapi.json"))
+        refused = await asyncio.wait_for(next(asyncio.as_completed([reader.readline() for reader, _ in flood])), 30.0)
+        assert b" 503 " in refused
+        assert await asyncio.to_thread(lambda: "a thread is free") == "a thread is free"
+        blocked.set()
+        for _, writer in flood:
+            writer.close()
+
+        sensors = bench.parts.documents.sensors
+
+        def counted():
+            made[0] += 1
+            return sensors()
+
+        monkeypatch.setattr(bench.parts.documents, "sensors", counted)
+        flood = [await connected(bench.port) for _ in range(40)]
+        for _, writer in flood:
+            writer.write(HEAD % b"/api/v1/sensors")
+        while made[0] < len(flood):
+            before = made[0]
+            await asyncio.sleep(0)
+            most = max(most, made[0] - before)
+        assert most <= 2
+        for _, writer in flood:
+            writer.close()

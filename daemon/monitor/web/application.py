@@ -1,6 +1,5 @@
 """The monitor's application: pages, API, metrics; every route states what it takes and answers."""
 
-import asyncio
 from collections.abc import Awaitable, Callable, Collection
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -170,7 +169,7 @@ _outside = APIRouter(include_in_schema=False)
 async def _metrics(request: Request) -> Response:
     if not request.app.state.parts.configuration.service.http_is_local:
         await request.app.state.access.viewer(request)
-    text = await asyncio.to_thread(generate_latest, request.app.state.parts.registry)
+    text = await request.app.state.recorded.beside(lambda: generate_latest(request.app.state.parts.registry))
     return Response(text, media_type=CONTENT_TYPE_LATEST)
 
 
@@ -181,7 +180,8 @@ async def _healthz() -> Response:
 
 @_outside.get("/openapi.json")
 async def _openapi(request: Request) -> Response:
-    return JSONResponse(await asyncio.to_thread(openapi_document, request.app))
+    answer: Response = await request.app.state.recorded.beside(lambda: JSONResponse(openapi_document(request.app)))
+    return answer
 
 
 @_outside.api_route("/{path:path}", methods=["GET", "HEAD"])

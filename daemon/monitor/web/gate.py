@@ -48,6 +48,7 @@ class Gate:
     def __init__(self, app: ASGIApp, names: Collection[str]) -> None:
         """`names`: by which the monitor is reached, beside those of this computer itself."""
         self._app, self._names = app, frozenset(name.lower() for name in names)
+        self._turn = asyncio.Lock()
         self._defect = RateLimit[tuple[str, Exception]](_log_defect)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -70,6 +71,8 @@ class Gate:
                 await problem_response(403, refused)(scope, receive, timed_send)
                 return
             body = await _body(receive)
+            async with self._turn:  # one request in a turn of the loop: between two of them the control has its own
+                await asyncio.sleep(0)
             await self._app(scope, _of(body, receive), timed_send)
         except ProblemError as error:
             with suppress(TooSlowError):

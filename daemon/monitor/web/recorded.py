@@ -1,4 +1,4 @@
-"""What the monitor reads of the store, in threads of its own, few at a time and for a bounded time."""
+"""What the monitor does in threads: in a few of its own, and what it reads of the store for a bounded time."""
 
 import asyncio
 import gzip
@@ -19,7 +19,7 @@ from daemon.monitor.web.problems import ProblemError
 Answer = TypeVar("Answer")
 THREADS = 2
 MOST_WAITING = 32
-"""So many queries wait for a thread; more are refused."""
+"""So many answers wait for a thread; more are refused."""
 LONGEST_QUERY_S = 20.0
 """A query that takes longer is broken off [s]."""
 
@@ -29,7 +29,7 @@ class QueryBrokenOffError(Exception):
 
 
 class Recorded:
-    """Runs queries of the store beside the loop."""
+    """Runs queries of the store, and what else takes long, beside the loop."""
 
     def __init__(self, configuration: Configuration) -> None:
         self._path = configuration.history.path
@@ -42,12 +42,9 @@ class Recorded:
 
     async def query(self, ask: Callable[[SeriesReader, Callable[[], None]], Answer]) -> Answer:
         """Return what `ask(reader, go_on)` returns; it calls `go_on` now and then, which raises to break it off."""
-        if self._waiting >= MOST_WAITING:
-            raise ProblemError(503, "too many queries of the store are under way; try again", {"retry-after": "2"})
         ended = threading.Event()
-        self._waiting += 1
         try:
-            return await asyncio.get_running_loop().run_in_executor(self._threads, self._run, ask, ended)
+            return await self.beside(lambda: self._run(ask, ended))
         except (HistoryError, SeriesError) as error:
             raise ProblemError(404 if isinstance(error, SeriesError) else 503, str(error)) from error
         except QueryBrokenOffError as error:
@@ -56,6 +53,15 @@ class Recorded:
             ) from error
         finally:
             ended.set()
+
+    async def beside(self, work: Callable[[], Answer]) -> Answer:
+        """Return what `work` returns, done in a thread; raises ProblemError when too much waits already."""
+        if self._waiting >= MOST_WAITING:
+            raise ProblemError(503, "too many queries are under way; try again", {"retry-after": "2"})
+        self._waiting += 1
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._threads, work)
+        finally:
             self._waiting -= 1
 
     def _run(self, ask: Callable[[SeriesReader, Callable[[], None]], Answer], ended: threading.Event) -> Answer:
