@@ -291,14 +291,7 @@ def _described(value: Any) -> str:
     return f"{value}"
 
 
-__all__ = [
-    "ConfigurationError",
-    "load_configuration",
-    "load_with_warnings",
-    "load_yaml_model",
-    "parse_yaml_model",
-    "with_absolute_paths",
-]
+__all__ = ["ConfigurationError"]
 
 
 def _expand_sensor_ranges(document: YamlDocument) -> None:

@@ -68,15 +68,4 @@ class TemperaturesTrusted:
     person: str
 
 
-__all__ = [
-    "EstimateComing",
-    "OutputActions",
-    "ReferenceEnded",
-    "ReferenceRebased",
-    "ReferenceRefused",
-    "ReferenceRequest",
-    "ReferenceTakenUp",
-    "SensorsSinceReference",
-    "SpindleSpeed",
-    "TemperaturesTrusted",
-]
+__all__ = ["ReferenceEnded", "ReferenceRequest", "ReferenceTakenUp", "SensorsSinceReference"]

@@ -79,6 +79,8 @@ class ControlSnapshot:
     since_monotonic_s: float | None
     """Since when it is in this state; None before the CNC was first reached."""
     alarm: str
+    fault: int
+    """Number of the newest FAULT, also of one that is acknowledged; 0: there was none."""
     notices: tuple[str, ...]
     """What a person should know, the latest last."""
     phase: Phase

@@ -30,6 +30,9 @@ class Journal:
         self._store = store
         self.faults = faults
         """Why the output is not trusted, in the order in which it was found; empty while it is."""
+        kept = store.get(OutputFault)
+        self.number = max(len(faults), 0 if kept is None else kept.number)
+        """Number of the newest reason that was ever latched: whoever acknowledges names it."""
         self.notices: list[str] = []
         self.alarm = ""
 
@@ -39,16 +42,14 @@ class Journal:
         return "; ".join(self.faults) or None
 
     def event(self, kind: str, text: str, person: str) -> None:
-        """Record something that happened, and who did it; a refusal is shown in status too."""
-        if kind == "refused":
-            self.notices = [*self.notices[1 - NOTICES_KEPT :], f"refused: {text}"]
+        """Record something that happened, and who did it; a notice or a refusal is shown in status too."""
+        if kind in ("refused", "notice"):
+            self.notices = [*self.notices[1 - NOTICES_KEPT :], f"refused: {text}" if kind == "refused" else text]
         log.info(f"output.{kind}", text=text, person=person)
         self._history.event(kind, text, person)
 
     def say(self, kind: str, text: str) -> None:
-        """Record something that the daemon itself did; a notice is shown in status too."""
-        if kind == "notice":
-            self.notices = [*self.notices[1 - NOTICES_KEPT :], text]
+        """Record something that the daemon itself did."""
         self.event(kind, text, "daemon")
 
     def notice(self, text: str) -> None:
@@ -62,14 +63,14 @@ class Journal:
             if NUMBERS.sub("~", reason) in latched or len(self.faults) >= MOST_REASONS:
                 continue
             latched.add(NUMBERS.sub("~", reason))
-            self.faults = (*self.faults, reason)
+            self.faults, self.number = (*self.faults, reason), self.number + 1
             self.say("fault", reason)
-            self.keep(OutputFault(reasons=self.faults))
+            self.keep(OutputFault(reasons=self.faults, number=self.number))
 
     def acknowledge(self, *remain: str) -> None:
         """Clear the reasons that a person acknowledged; what remains wrong stays, or becomes, a reason."""
         self.faults = tuple(reason for reason in self.faults if reason in remain)
-        self.keep(OutputFault(reasons=self.faults))
+        self.keep(OutputFault(reasons=self.faults, number=self.number))
         self.raise_fault(*remain)
 
     def keep(self, document: Any) -> None:

@@ -9,7 +9,7 @@ from daemon.cnc.session import CncLink
 from daemon.compensation.parts import Inbox
 from daemon.compensation.references import Decided, References
 from daemon.compensation.restart import StartupRecovery
-from models.control.state import NO_REQUEST, OperatorRequest
+from models.control.state import NO_REQUEST, Inhibit, InhibitCode, OperatorRequest
 
 
 class Requests:
@@ -41,14 +41,19 @@ class Requests:
 
     def put(self, request: OperatorRequest, person: str) -> str:
         """Queue a request; return why it is refused, '' when it is taken."""
-        session, not_begun = self._link.session, self._startup.not_begun
-        inhibit = self._interlocks.request_inhibit(request, session, not_begun=not_begun)
-        if inhibit is not None:
+        if (inhibit := self._inhibit(request, self._startup.not_begun)) is not None:
             self.note_refusal(f"{in_words(request)}: {inhibit}", person)
             return str(inhibit)
         self._waiting.append((request, person))
         self._inbox.wake()
         return ""
+
+    def _inhibit(self, request: OperatorRequest, not_begun: str) -> Inhibit | None:
+        if request.acknowledge not in (0, newest := self._journal.number):
+            text = f"the newest is FAULT {newest}, not {request.acknowledge}"
+            remedy = f"look at it before you acknowledge it: {self._journal.fault or 'it is acknowledged'}"
+            return Inhibit(code=InhibitCode.FAULT, text=text, remedy=remedy)
+        return self._interlocks.request_inhibit(request, self._link.session, not_begun=not_begun)
 
     def put_reference(self, person: str, decided: Decided = lambda _refusal: None) -> str:
         """Queue a reference by hand; return why it is refused, '' when it is taken, and `decided` hears the rest."""
@@ -69,11 +74,10 @@ class Requests:
         request, person = self._waiting.pop(0) if self._waiting else (NO_REQUEST, "")
         if person:
             self._journal.event("request", in_words(request), person)
-        session = self._link.session
-        if request.acknowledge and session is None:
-            lost = self._interlocks.request_inhibit(request, None, not_begun="")
-            self._journal.event("refused", f"{in_words(request)}: {lost}", person)
-        elif request.acknowledge and session is not None and self._journal.fault is not None:
+        if request.acknowledge and (inhibit := self._inhibit(request, "")) is not None:
+            self._journal.event("refused", f"{in_words(request)}: {inhibit}", person)
+            request = NO_REQUEST
+        elif request.acknowledge and (session := self._link.session) is not None and self._journal.fault is not None:
             self._journal.acknowledge(*session.acknowledge())
         return self._startup.heed(request)
 

@@ -28,6 +28,7 @@ def control_snapshot(control: "ControlTask") -> ControlSnapshot:
         reason=memory.reason if memory is not None else control.not_begun,
         since_monotonic_s=memory.since_s if memory is not None else None,
         alarm=control.journal.alarm,
+        fault=control.journal.number,
         notices=tuple(control.journal.notices[-NOTICES_SHOWN:]),
         phase=control.phase,
         limits_hit=memory.limits_hit if memory is not None else (),

@@ -14,7 +14,7 @@ from models.control.state import OperatorRequest
 
 DECISION_S = 3.0
 """A request is answered after this long at the latest [s]; the control task decides with its next tick."""
-KEYS = {"enable": {"axes", "spindle_speed"}, "disable": {"axes", "zero", "spindle_speed"}}
+KEYS = {"acknowledge": {"fault"}, "enable": {"axes", "spindle_speed"}, "disable": {"axes", "zero", "spindle_speed"}}
 """What a command takes beside its name; the others take nothing."""
 
 
@@ -47,7 +47,7 @@ class CommandDesk:
             case "disable":
                 self._submit(OperatorRequest(disable=self._named(request), zero=_zero(request)), person)
             case "acknowledge":
-                self._submit(OperatorRequest(acknowledge=True), person)
+                self._submit(OperatorRequest(acknowledge=_fault(request)), person)
             case "reference":
                 return await self._reference_by_hand(person)
             case other:
@@ -126,6 +126,13 @@ def _check_keys(request: dict[str, Any]) -> None:
     if unknown := sorted(set(request) - known - {"command"}):
         takes = ", ".join(sorted(known)) or "nothing else"
         raise RequestError(f"the command {command!r} does not know {', '.join(unknown)}; it takes {takes}")
+
+
+def _fault(request: dict[str, Any]) -> int:
+    fault = request.get("fault")
+    if not isinstance(fault, int) or isinstance(fault, bool) or not 0 < fault < 2**31:
+        raise RequestError("fault must be the number of the FAULT that is acknowledged, as the status tells it")
+    return fault
 
 
 def _zero(request: dict[str, Any]) -> bool:

@@ -74,6 +74,7 @@ class StatusBoard:
             "reason": control.reason,
             "since_s": now_s - since_s if since_s is not None else None,
             "alarm": control.alarm,
+            "fault": control.fault,
             "phase": control.phase.value,
             "limits_hit": list(control.limits_hit),
             "weight": control.weight,

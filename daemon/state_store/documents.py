@@ -34,6 +34,8 @@ class OutputFault:
     """Why the output is not trusted, in the order in which it was found; empty while it is."""
 
     reasons: tuple[str, ...]
+    number: int = 0
+    """Number of the newest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

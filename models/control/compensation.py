@@ -205,7 +205,7 @@ def _change_state(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimi
         Condition.BAD_INPUT: inhibit is not None,
         Condition.HELD_TOO_LONG: inputs.now_s - memory.since_s > limits.hold_limit_s,
         Condition.RETREATED: inputs.link and zero and bool(np.all(memory.command_um == 0.0)),
-        Condition.ACKNOWLEDGED: (inputs.request.acknowledge and inputs.link and known and inputs.output_fault is None),
+        Condition.ACKNOWLEDGED: inputs.request.acknowledge > 0 and inputs.link and known and not inputs.output_fault,
     }
     for condition, target in TRANSITIONS[memory.state]:
         if holds[condition]:

@@ -76,7 +76,8 @@ class OperatorRequest:
     disable: frozenset[str] = frozenset()
     zero: bool = False
     """Disable every axis and retreat to zero, not to the baseline."""
-    acknowledge: bool = False
+    acknowledge: int = 0
+    """Number of the FAULT that is acknowledged; 0: none."""
 
 
 NO_REQUEST = OperatorRequest()

@@ -28,7 +28,6 @@ from daemon.sinks.alarms.observing import HELD, Lasting, certificates, of_comput
 from daemon.sinks.alarms.sink import AlarmSink
 from daemon.sinks.running import SinkRunner, make_messenger, sink_status
 from daemon.snapshots import LinkSnapshot
-from models.control.state import OperatorRequest
 
 
 class Hall:
@@ -95,7 +94,7 @@ async def fault(rig: Rig, why: str) -> None:
 
 
 async def acknowledged(rig: Rig) -> None:
-    assert rig.control.request(OperatorRequest(acknowledge=True), "Ada") == ""
+    assert rig.acknowledge("Ada") == ""
     await rig.turn()
     assert rig.control.memory.state.value != "FAULT"
 

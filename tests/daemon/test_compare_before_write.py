@@ -99,7 +99,7 @@ async def test_after_the_fault_is_acknowledged_what_the_control_holds_is_ours(ri
     await act(rig, rig.estimate(0.0, -5.0))
     await rig.turn(safe=False)
     assert rig.state == "FAULT"
-    assert rig.control.request(OperatorRequest(acknowledge=True), "p") == ""
+    assert rig.acknowledge("p") == ""
     await rig.follow(0.0, -5.0, 20)
     assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(5.0, abs=0.11)
 
@@ -211,7 +211,7 @@ async def test_the_answer_is_compared_with_what_was_written_not_with_what_a_poll
     await rig.turn()
     assert bench.nc.macros.get(ACKNOWLEDGE) == 77.0
     assert "holds 77, we wrote 1" in rig.control.journal.fault
-    assert rig.control.request(OperatorRequest(acknowledge=True), "p") == ""
+    assert rig.acknowledge("p") == ""
     await rig.turn()
     await rig.turn()
     assert bench.nc.macros.get(ACKNOWLEDGE) == 2.0 and rig.control.journal.fault is None

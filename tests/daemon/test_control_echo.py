@@ -4,11 +4,9 @@ import pytest
 from control_rig import ENABLE, Bench, Z, running
 
 from daemon.history import HistoryReader
-from models.control.state import OperatorRequest
 from models.records import WriteOutcome
 
 ECHO_Z = 513
-ACKNOWLEDGE = OperatorRequest(acknowledge=True)
 
 
 @pytest.fixture
@@ -45,7 +43,7 @@ async def test_nobody_can_acknowledge_an_echo_beyond_the_bound(bench):
     async with running(bench.rig()) as rig:
         await rig.turn(safe=False)
         await rig.turn(safe=False)
-        rig.control.request(ACKNOWLEDGE, "p")
+        rig.acknowledge("p")
         await rig.turn(safe=False)
         assert rig.state == "FAULT" and bench.nc.written == []
 
@@ -63,7 +61,7 @@ async def test_a_restart_does_not_clear_a_fault(bench):
     async with running(bench.rig()) as again:
         await again.follow(0.0, -10.0, 10)
         assert again.state == "FAULT" and bench.nc.written == []
-        again.control.request(ACKNOWLEDGE, "p")
+        again.acknowledge("p")
         await again.turn(safe=False)
         assert again.state == "HOLD"
     async with running(bench.rig()) as third:

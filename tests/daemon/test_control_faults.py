@@ -24,8 +24,6 @@ from drivers.contract import LinkError
 from models.control.state import OperatorRequest
 from models.records import CncRun, WriteOutcome
 
-ACKNOWLEDGE = OperatorRequest(acknowledge=True)
-
 
 @pytest.fixture
 def bench(tmp_path):
@@ -49,7 +47,7 @@ async def test_a_foreign_value_is_a_fault_until_it_is_acknowledged(rig, bench):
     await rig.follow(0.0, -10.0, 20)
     assert rig.state == "FAULT" and bench.nc.written == []
     applied = dict(rig.applied)
-    assert rig.control.request(ACKNOWLEDGE, "p") == ""
+    assert rig.acknowledge("p") == ""
     await rig.turn(safe=False)
     assert rig.control.memory.state == "HOLD" or rig.state == "ACTIVE"
     assert bench.nc.macros.get(Z) * 1000 == pytest.approx(applied["z"], abs=0.6)
@@ -66,7 +64,7 @@ async def test_a_fault_while_retreating_can_be_left(rig, bench):
     bench.nc.macros.set(Y, 0.001)
     await rig.turn()
     assert rig.state == "FAULT"
-    rig.control.request(ACKNOWLEDGE, "p")
+    rig.acknowledge("p")
     await rig.follow(0.0, -10.0, 40)
     assert rig.state == "OFF"
     assert rig.applied["z"] == pytest.approx(0.0, abs=1e-6)
@@ -82,7 +80,7 @@ async def test_a_read_back_that_differs_is_a_fault(rig, bench):
     assert rig.state == "FAULT" and bench.nc.written == []
     assert "read-back" in rig.control.memory.reason or "holds" in rig.control.memory.reason
     bench.nc.forgets = None
-    rig.control.request(ACKNOWLEDGE, "p")
+    rig.acknowledge("p")
     await rig.follow(0.0, -5.0, 30)
     assert rig.state == "ACTIVE"
     assert rig.applied["z"] == pytest.approx(5.0, abs=0.11)
@@ -97,7 +95,7 @@ async def test_a_refused_write_is_a_fault_and_counted(rig, bench):
     assert rig.state == "FAULT" and bench.nc.written == []
     assert rig.control.writer.counts["refused"] == 1
     bench.nc.refuses = None
-    rig.control.request(ACKNOWLEDGE, "p")
+    rig.acknowledge("p")
     await rig.follow(0.0, -5.0, 30)
     assert rig.state == "ACTIVE"
 
@@ -135,7 +133,7 @@ async def test_an_unknown_exception_latches_a_fault_and_the_loop_goes_on(rig, be
     assert rig.state == "FAULT" and type(error).__name__ in rig.control.journal.alarm
     assert bench.nc.written == []
     assert rig.control.session.sample.time.monotonic_s == rig.clock.monotonic_s, "it still polls"
-    rig.control.request(ACKNOWLEDGE, "p")
+    rig.acknowledge("p")
     await rig.follow(0.0, -5.0, 5)
     assert rig.state == "ACTIVE"
 
@@ -157,7 +155,7 @@ async def test_acknowledging_does_not_make_a_vacant_macro_ours(bench, vacant):
     bench.nc.macros.set(vacant, None)
     async with running(bench.rig()) as rig:
         await rig.turn()
-        rig.control.request(ACKNOWLEDGE, "p")
+        rig.acknowledge("p")
         await rig.turn()
         rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
         for _ in range(5):
@@ -166,7 +164,7 @@ async def test_acknowledging_does_not_make_a_vacant_macro_ours(bench, vacant):
         assert rig.state == "FAULT"
         bench.nc.macros.set(vacant, 0.0)
         await rig.turn()
-        rig.control.request(ACKNOWLEDGE, "p")
+        rig.acknowledge("p")
         await rig.turn()
         await rig.turn()
         assert rig.state != "FAULT", rig.control.memory.reason
@@ -316,13 +314,13 @@ async def test_acknowledging_without_a_link_is_refused(rig, bench):
     await rig.turn()
     bench.nc.reachable = False
     await rig.turn()
-    assert "no link to the CNC" in rig.control.request(ACKNOWLEDGE, "p")
+    assert "no link to the CNC" in rig.acknowledge("p")
     await rig.turn()
     bench.nc.reachable = True
     await rig.connected()
     await rig.turn()
     assert rig.state == "FAULT"
-    assert rig.control.request(ACKNOWLEDGE, "p") == ""
+    assert rig.acknowledge("p") == ""
     await rig.follow(0.0, 0.0, 5)
     assert rig.state == "ACTIVE"
 
@@ -402,7 +400,7 @@ async def test_every_reason_comes_back_after_a_restart_and_none_that_was_acknowl
         assert rig.control.journal.faults == reasons and len(reasons) == 2
         await rig.turn()
         assert rig.control.journal.faults == reasons, "found again, it is no new reason"
-        assert rig.control.request(ACKNOWLEDGE, "p") == ""
+        assert rig.acknowledge("p") == ""
         await rig.turn()
         assert rig.control.journal.faults == () and rig.state != "FAULT"
     async with running(bench.rig()) as rig:
@@ -417,7 +415,7 @@ async def test_an_acknowledgement_leaves_what_is_still_wrong(rig, bench):
     bench.nc.macros.set(500, None)
     await rig.turn()
     assert len(rig.control.journal.faults) == 2
-    rig.control.request(ACKNOWLEDGE, "p")
+    rig.acknowledge("p")
     await rig.turn()
     assert rig.state == "FAULT" and len(rig.control.journal.faults) == 1
     assert "#500 is vacant" in rig.control.journal.faults[0] and "#500 is vacant" in rig.control.journal.alarm
@@ -429,7 +427,7 @@ async def test_an_acknowledgement_that_meets_a_lost_link_is_refused_in_words(rig
     await rig.active()
     bench.nc.macros.set(Z, 0.002)
     await rig.turn()
-    assert rig.control.request(ACKNOWLEDGE, "p") == ""
+    assert rig.acknowledge("p") == ""
     rig.link.lost(LinkError("cable"))
     await rig.control._guarded(rig.control._act(None))
     assert rig.state == "FAULT" and rig.control.journal.fault is not None
@@ -437,3 +435,40 @@ async def test_an_acknowledgement_that_meets_a_lost_link_is_refused_in_words(rig
     await rig.connected()
     await rig.turn(safe=False)
     assert rig.state == "FAULT", "nobody has acknowledged what the control holds now"
+
+
+async def test_an_acknowledgement_clears_no_newer_fault_than_the_one_it_names(rig, bench):
+    """Two people look at a FAULT; one acknowledges, the macro is written over again, then the other acknowledges."""
+    await rig.active()
+    await rig.follow(0.0, -10.0, 30)
+    for _ in range(2):
+        bench.nc.macros.set(Z, 0.002)
+        await rig.turn(rig.estimate(0.0, -10.0))
+        assert rig.state == "FAULT"
+        if (seen := rig.snapshots.control.fault) == 1:
+            assert rig.control.request(OperatorRequest(acknowledge=seen), "first") == ""
+            await rig.follow(0.0, -10.0, 20)
+            assert rig.state == "ACTIVE"
+    refused = rig.control.request(OperatorRequest(acknowledge=1), "second")
+    assert "the newest is FAULT 2, not 1" in refused and f"#{Z} holds 0.002" in refused
+    await rig.turn()
+    assert rig.state == "FAULT"
+    assert rig.control.request(OperatorRequest(acknowledge=2), "second") == ""
+    rig.control.journal.raise_fault("found after the request was queued")
+    await rig.turn()
+    assert rig.state == "FAULT" and len(rig.control.journal.faults) == 2, "nothing of it is cleared"
+    assert any("refused: acknowledge the fault: the newest is FAULT 3" in each for each in rig.control.journal.notices)
+
+
+async def test_the_numbers_of_faults_go_on_over_a_restart(bench):
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        rig.control.journal.raise_fault("one")
+        await rig.turn()
+        rig.control.request(OperatorRequest(acknowledge=1), "p")
+        await rig.turn()
+        rig.control.journal.raise_fault("two")
+        await rig.history.flushed()
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        assert rig.control.journal.faults[0] == "two" and rig.snapshots.control.fault >= 2

@@ -20,7 +20,6 @@ from models.control.state import OperatorRequest
 from models.records import WriteOutcome
 
 ECHO_Y = 512
-ACKNOWLEDGE = OperatorRequest(acknowledge=True)
 TERM = ToolTermConfig(length_mm=200.0, expansion_um_per_m_k=10.0, temperatures={"A": 1.0})
 
 
@@ -171,7 +170,7 @@ async def test_a_differing_read_back_is_acknowledged_before_the_next_poll(rig, b
     bench.nc.forgets = Z
     await rig.turn(rig.estimate(0.0, -5.0))
     bench.nc.forgets = None
-    rig.control.request(ACKNOWLEDGE, "p")
+    rig.acknowledge("p")
     await rig.control._guarded(rig.control._act(None))
     await rig.control._guarded(rig.control._act(None))
     await rig.follow(0.0, -5.0, 5)

@@ -19,7 +19,6 @@ from nc_requests import (
 from daemon.history import HistoryReader
 from daemon.messages import ReferenceEnded, ReferenceRebased, ReferenceRefused
 from drivers.contract import LinkError
-from models.control.state import OperatorRequest
 from models.records import WriteOutcome
 
 
@@ -152,7 +151,7 @@ async def test_a_probe_in_a_fault_moves_nothing_after_the_acknowledgement(rig, b
     if not waits:
         bench.nc.macros.set(KIND, 0.0)
         await rig.turn(rig.estimate(0.0, -8.0))
-    assert rig.control.request(OperatorRequest(acknowledge=True), "p") == ""
+    assert rig.acknowledge("p") == ""
     await rig.follow(0.0, -8.0, 40)
     assert rig.state == "ACTIVE"
     assert rig.applied["z"] == pytest.approx(before, abs=0.11)
@@ -185,7 +184,7 @@ async def test_a_probe_whose_step_ends_in_a_fault_is_refused_and_moves_nothing(r
     if not waits:
         bench.nc.macros.set(KIND, 0.0)
         await rig.turn(rig.estimate(0.0, -8.0))
-    assert rig.control.request(OperatorRequest(acknowledge=True), "p") == ""
+    assert rig.acknowledge("p") == ""
     await rig.follow(0.0, -8.0, 40)
     assert rig.state == "ACTIVE"
     assert rig.applied["z"] == pytest.approx(before, abs=0.11)

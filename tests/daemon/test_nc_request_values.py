@@ -21,7 +21,6 @@ from nc_requests import (
 )
 
 from daemon.history import HistoryReader
-from models.control.state import OperatorRequest
 
 SPECIAL = (None, math.nan, math.inf, -math.inf, -0.0, 1e300, -1e300, 2.5, 1e-9, -3.0)
 GOOD = {REFERENCE: (0, 0.0), PROBE: (Z_AXIS, 0.001), TOOL_CHANGE: (0, 4.0)}
@@ -154,7 +153,7 @@ async def test_an_answer_macro_that_holds_something_else_is_at_most_a_fault_in_w
     if fault is not None:
         assert fault.startswith("an answer to the NC program could not be written: macro #524 is vacant")
         put(bench, ACKNOWLEDGE, 0.0)
-        assert rig.control.request(OperatorRequest(acknowledge=True), "a person") == ""
+        assert rig.acknowledge("a person") == ""
         await rig.turn()
         await rig.turn()
         assert answer(bench) == 1.0 and rig.control.journal.fault is None

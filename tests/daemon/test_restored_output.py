@@ -39,7 +39,7 @@ async def test_after_a_restoration_the_output_waits_for_a_person(bench: Bench, t
         assert "acknowledge" in str(rig.resume.faults)
         assert dict(rig.applied) == applied, "nothing was moved"
         assert len(bench.nc.written) == sent
-        assert rig.control.request(OperatorRequest(acknowledge=True), "anna (uid 1)") == ""
+        assert rig.acknowledge("anna (uid 1)") == ""
         await rig.turn()
         assert rig.state == "HOLD"
         rig.set_reference("r2")

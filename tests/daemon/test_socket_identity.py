@@ -64,8 +64,8 @@ async def test_the_group_decides_who_may_and_the_kernel_says_who_it_was(tmp_path
     with tempfile.TemporaryDirectory() as folder:
         Path(folder).chmod(0o755)
         path = Path(folder) / "s"
-        member = as_member([group.gr_gid], path, lambda client: client.ask("acknowledge"))
-        stranger = as_member([], path, lambda client: client.ask("acknowledge"))
+        member = as_member([group.gr_gid], path, lambda client: client.ask("acknowledge", fault=1))
+        stranger = as_member([], path, lambda client: client.ask("acknowledge", fault=1))
         bench = Bench(tmp_path)
         async with running(bench.rig()) as rig:
             await rig.active()

@@ -14,7 +14,6 @@ from daemon.cnc.commissionable import without_text
 from daemon.spindle_speed.macro_block import DISABLED, OperationKey, SpeedBlock, SpeedPair
 from daemon.spindle_speed.writer import SpeedWriteError, SpeedWriter
 from drivers.guard.speed_text import SpeedStatus
-from models.control.state import OperatorRequest
 
 PROGRAMMED = (9000.0, 1800.0)
 APPLIED = SpeedStatus.APPLIED
@@ -29,7 +28,7 @@ async def bench(tmp_path: Path) -> Any:
 
 
 async def acknowledge(bench: SpeedRig) -> None:
-    assert bench.rig.control.request(OperatorRequest(acknowledge=True), "a person") == ""
+    assert bench.rig.acknowledge("a person") == ""
     await bench.rig.turn(safe=False)
 
 

@@ -15,7 +15,6 @@ from speed_machine import MACROS, speed_machine
 from speed_rig import CUT, SAFE, SpeedRig
 
 from drivers.guard.speed_text import SpeedStatus
-from models.control.state import OperatorRequest
 
 OPERATIONS: list[dict[str, float]] = [
     *({} for _ in range(8)),
@@ -269,7 +268,7 @@ class Histories(RuleBasedStateMachine):
         async def asked() -> None:
             await self.bench.rig.connected()
             await self.bench.rig.turn(safe=False)
-            self.bench.rig.control.request(OperatorRequest(acknowledge=True), "a person")
+            self.bench.rig.acknowledge("a person")
             await self.bench.rig.turn(safe=False)
 
         self.bench.nc.reachable = True

@@ -13,7 +13,6 @@ from speed_rig import CUT, SAFE, SpeedRig
 from daemon.history.reader import HistoryReader
 from drivers.contract import FatalDriverError
 from drivers.guard.speed_text import SpeedStatus
-from models.control.state import OperatorRequest
 
 PROGRAMMED = (9000.0, 1800.0)
 APPLIED = SpeedStatus.APPLIED
@@ -28,7 +27,7 @@ async def bench(tmp_path: Path) -> Any:
 
 
 async def acknowledge(bench: SpeedRig) -> None:
-    assert bench.rig.control.request(OperatorRequest(acknowledge=True), "a person") == ""
+    assert bench.rig.acknowledge("a person") == ""
     await bench.rig.turn(safe=False)
 
 

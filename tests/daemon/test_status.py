@@ -50,7 +50,7 @@ async def test_programs_that_read_the_status_find_every_key_that_they_found_befo
         *("written_axes", "latency_s", "history"),
     }
     assert set(picture["output"]) == {
-        *("state", "reason", "since_s", "alarm", "phase", "limits_hit", "weight", "guard_silent_s", "notices"),
+        *("state", "reason", "since_s", "alarm", "fault", "phase", "limits_hit", "weight", "guard_silent_s", "notices"),
         *("insecure_writes", "writable_model_directory"),
     }
     assert set(picture["axes"]["z"]) == {
@@ -129,7 +129,11 @@ async def test_commands_are_taken_or_refused_in_words(board):
         ({"command": "enable", "axes": ["w"]}, "no axis w"),
         ({"command": "enable", "axes": []}, "empty list"),
         ({"command": "enable", "zero": True}, "does not know zero; it takes axes"),
-        ({"command": "acknowledge", "axes": ["z"]}, "takes nothing else"),
+        ({"command": "reference", "axes": ["z"]}, "takes nothing else"),
+        ({"command": "acknowledge", "axes": ["z"]}, "does not know axes; it takes fault"),
+        ({"command": "acknowledge"}, "fault must be the number of the FAULT"),
+        ({"command": "acknowledge", "fault": True}, "fault must be the number of the FAULT"),
+        ({"command": "acknowledge", "fault": 1}, "the newest is FAULT 0, not 1"),
         ({"command": "disable", "zero": "false"}, "true or false"),
         ({"command": "disable", "zero": 1}, "true or false"),
         ({"command": "disable", "zero": True, "axes": ["z"]}, "every axis"),

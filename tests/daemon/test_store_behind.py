@@ -175,7 +175,7 @@ async def test_what_the_cnc_holds_and_no_record_explains_is_no_restart_to_go_on_
     async with running(bench.rig()) as rig:
         await rig.turn()
         assert rig.state == "FAULT"
-        rig.control.request(OperatorRequest(acknowledge=True), "anna")
+        rig.acknowledge("anna")
         await rig.follow(0.0, -10.0, 5)
         assert rig.state == "HOLD" and rig.control.reference is None
         assert rig.applied["z"] == pytest.approx(13.0, abs=0.11)

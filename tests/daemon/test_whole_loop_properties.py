@@ -229,7 +229,7 @@ class Shop(RuleBasedStateMachine):
 
     @rule()
     def a_person_acknowledges(self) -> None:
-        refusal = self.loop.rig.control.request(OperatorRequest(acknowledge=True), "a person")
+        refusal = self.loop.rig.acknowledge("a person")
         if not refusal:
             self.touched = False
         self.let_pass(2)

@@ -224,7 +224,7 @@ def test_a_fault_latches_writes_nothing_and_leads_to_hold_with_the_echo():
     memory, command = run(memory, 100, start_s=601.0, applied_um=np.array([1.0, 9.0]), follow=False)
     assert memory.state is OutputState.FAULT
     acknowledged = inputs(
-        now_s=702.0, applied_um=np.array([1.0, 9.0]), request=OperatorRequest(acknowledge=True), reference_id=None
+        now_s=702.0, applied_um=np.array([1.0, 9.0]), request=OperatorRequest(acknowledge=1), reference_id=None
     )
     memory, command = step(memory, acknowledged, LIMITS)
     assert memory.state is OutputState.HOLD
@@ -234,7 +234,7 @@ def test_a_fault_latches_writes_nothing_and_leads_to_hold_with_the_echo():
 def test_acknowledging_while_the_cause_stands_stays_in_fault():
     memory, _ = active()
     memory, _ = run(memory, 1, start_s=600.0, output_fault="foreign value")
-    still = inputs(now_s=602.0, output_fault="foreign value", request=OperatorRequest(acknowledge=True))
+    still = inputs(now_s=602.0, output_fault="foreign value", request=OperatorRequest(acknowledge=1))
     memory, _ = step(memory, still, LIMITS)
     assert memory.state is OutputState.FAULT
 
@@ -379,7 +379,7 @@ class Histories(RuleBasedStateMachine):
     @precondition(lambda self: self.memory.state is OutputState.FAULT)
     @rule()
     def acknowledge(self):
-        self.take(output_fault=None, request=OperatorRequest(acknowledge=True))
+        self.take(output_fault=None, request=OperatorRequest(acknowledge=1))
 
     @rule(model=st.sampled_from(["m1", "m2"]), errors=st.tuples(st.floats(-50, 50), st.floats(-50, 50)))
     def change_model(self, model, errors):

@@ -330,7 +330,7 @@ class Attack(TwinLoop):
         self.bad(0)
         if not self.down_left:
             if self.loop.rig.control.journal.fault is not None:
-                self.ask_for(OperatorRequest(acknowledge=True))
+                self.loop.rig.acknowledge("a person")
             self.ask_for(OperatorRequest(enable=frozenset({"y", "z"})))
 
 
@@ -524,7 +524,7 @@ async def foreign(shop: Attack) -> None:
         if shop.loop.nc.macros.get(number) == value:
             shop.loop.nc.macros.set(number, was)
         if not shop.down_left:
-            shop.ask_for(OperatorRequest(acknowledge=True))
+            shop.loop.rig.acknowledge("a person")
             shop.ask_for(OperatorRequest(enable=frozenset({"y", "z"})))
             shop.say("acknowledged")
 

@@ -324,6 +324,10 @@ class Rig:
     def state(self) -> str:
         return self.control.memory.state.value if self.control.memory is not None else "none"
 
+    def acknowledge(self, person: str) -> str:
+        """Acknowledge the newest FAULT."""
+        return self.control.request(OperatorRequest(acknowledge=self.control.journal.number), person)
+
     @property
     def applied(self) -> dict[str, float]:
         return self.nc.guard.applied_um

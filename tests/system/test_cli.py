@@ -57,7 +57,7 @@ def test_a_whole_shift_of_commands(tmp_path):
 
         told("disable", "--zero", config=config)
         wires.wait_for_state("OFF")
-        told("acknowledge", config=config)
+        assert told("acknowledge", config=config).startswith("OFF: "), "there is no FAULT, so nothing is asked"
         wires.check_nothing_broke()
 
         second = second_daemon(config)

@@ -132,8 +132,20 @@ def disable(
 @click.command()
 @config_option
 @socket_option
-def acknowledge(config_path: Path, socket_path: Path | None) -> None:
-    """Clear a latched FAULT after its cause is gone; the output then holds what the CNC applies."""
+@click.argument("fault", type=click.IntRange(min=1), required=False)
+def acknowledge(config_path: Path, socket_path: Path | None, fault: int | None) -> None:
+    """Clear a latched FAULT after its cause is gone; the output then holds what the CNC applies.
+
+    FAULT is its number, as `toolpoint status` tells it; left out, the FAULT is shown and you are asked. One that came
+    after it is not cleared.
+    """
     with daemon_at(config_path, socket_path) as client:
-        outcome = client.ask("acknowledge")
+        if fault is None:
+            output = client.ask("status")["output"]
+            fault = output["fault"]
+            click.echo(f"{output['state']}: {output['reason']}")
+            if output["state"] != "FAULT":
+                return
+            click.confirm(f"Acknowledge FAULT {fault}, because this is gone?", abort=True)
+        outcome = client.ask("acknowledge", fault=fault)
     _tell(outcome)

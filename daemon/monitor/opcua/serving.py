@@ -35,33 +35,24 @@ AT_ONCE = 10
 """So many sensors are added before the loop turns to other work."""
 
 
-STRING, BOOLEAN = ua.NodeId(ua.Int32(Kind.STRING)), ua.NodeId(ua.Int32(Kind.BOOLEAN))
-AXES = ua.Argument(
-    Name="Axes",
-    DataType=STRING,
-    ValueRank=1,
-    Description=ua.LocalizedText("names of the axes; an empty list: every axis"),
-)
-ZERO = ua.Argument(
-    Name="Zero",
-    DataType=BOOLEAN,
-    ValueRank=-1,
-    Description=ua.LocalizedText(
-        "retreat to zero instead of to where the reference left it; with an empty list of axes"
-    ),
-)
+def _argument(name: str, kind: Kind, words: str, rank: int = -1) -> ua.Argument:
+    data_type = ua.NodeId(ua.Int32(kind))
+    return ua.Argument(Name=name, DataType=data_type, ValueRank=rank, Description=ua.LocalizedText(words))
+
+
+AXES = _argument("Axes", Kind.STRING, "names of the axes; an empty list: every axis", rank=1)
+ZERO = _argument("Zero", Kind.BOOLEAN, "retreat to zero, not to where the reference left it; with no axes")
+FAULT = _argument("Fault", Kind.UINT32, "number of the FAULT that is meant: state.fault")
 OUTPUTS = [
-    ua.Argument(
-        Name="Decided", DataType=BOOLEAN, ValueRank=-1, Description=ua.LocalizedText("false: look at the state")
-    ),
-    ua.Argument(Name="State", DataType=STRING, ValueRank=-1, Description=ua.LocalizedText("state of the output")),
-    ua.Argument(Name="Reason", DataType=STRING, ValueRank=-1, Description=ua.LocalizedText("why")),
+    _argument("Decided", Kind.BOOLEAN, "false: look at the state"),
+    _argument("State", Kind.STRING, "state of the output"),
+    _argument("Reason", Kind.STRING, "why"),
 ]
 METHODS: dict[str, tuple[str, list[ua.Argument], tuple[type, ...]]] = {
     "reference": ("set the reference now, as after work positioning", [], ()),
     "enable": ("switch compensation on", [AXES], (list,)),
     "disable": ("switch compensation off; the offset retreats", [AXES, ZERO], (list, bool)),
-    "acknowledge": ("clear a latched FAULT after its cause is gone", [], ()),
+    "acknowledge": ("clear a latched FAULT after its cause is gone", [FAULT], (int,)),
 }
 
 
@@ -89,13 +80,9 @@ class Actions:
             self._report("access", f"refused: OPC UA method {name} takes the role {Role.OPERATOR}", person.in_audit)
             sentence = f"{person.name} is {person.role}; this takes the role {Role.OPERATOR}"
             raise self._refused(name, int(StatusCodes.BadUserAccessDenied), sentence)
-        command: dict[str, Any] = {"command": name}
-        if values and values[0]:
-            command["axes"] = list(values[0])
-        if len(values) > 1 and values[1]:
-            command["zero"] = True
+        given = {each.Name.lower(): value for each, value in zip(METHODS[name][1], values, strict=True) if value}
         try:
-            outcome = await self._desk.handle(command, person.in_audit)
+            outcome = await self._desk.handle({"command": name, **given}, person.in_audit)
         except RequestError as error:
             raise self._refused(name, int(StatusCodes.BadInvalidState), str(error)) from error
         return [

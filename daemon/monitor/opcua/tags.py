@@ -114,6 +114,8 @@ class Tags:
             ("state.reference_ended", "why there is no reference"),
         ):
             self._text(name, folder, words)
+        tag = Variable((INDEX, "state.fault"), "state.fault", Kind.UINT32, description="number of the newest FAULT")
+        self._texts["state.fault"] = self._add(tag, folder)
         for name, words in (("state.notices", "what a person should know"), ("state.links_down", "links, and why")):
             tag = Variable((INDEX, name), name, Kind.STRING, array=True, description=words)
             self._texts[name] = self._add(tag, folder)
@@ -200,6 +202,7 @@ class Tags:
         }
         for name, text in texts.items():
             self._say(name, variant(Kind.STRING, text), time_s)
+        self._say("state.fault", variant(Kind.UINT32, control.fault), time_s)
         down = [f"{link.name}: {link.problem}" for link in self._board.links if not link.up]
         self._say("state.notices", strings(list(control.notices)), time_s)
         self._say("state.links_down", strings(down), time_s)

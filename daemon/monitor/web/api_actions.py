@@ -47,12 +47,12 @@ async def disable(request: Request, person: Operator, what: schemas.Disable) -> 
 
 
 @router.post("/acknowledge", response_model=schemas.Decided, responses=REFUSED)
-async def acknowledge(request: Request, person: Operator) -> Response:
+async def acknowledge(request: Request, person: Operator, what: schemas.Acknowledge) -> Response:
     """Clear a latched FAULT after its cause is gone."""
-    return await _act(request, person, {"command": "acknowledge"})
+    return await _act(request, person, {"command": "acknowledge", **_given(what)})
 
 
-def _given(what: schemas.Enable) -> dict[str, Any]:
+def _given(what: schemas.Enable | schemas.Acknowledge) -> dict[str, Any]:
     return what.model_dump(exclude_defaults=True)
 
 

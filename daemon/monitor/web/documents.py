@@ -54,6 +54,7 @@ class Documents:
             "since_s": None if since_s is None else now.monotonic_s - since_s,
             "phase": control.phase.value,
             "alarm": control.alarm,
+            "fault": control.fault,
             "problems": self.problems(),
             "notices": list(control.notices),
             "axes": self.axes(),

@@ -130,6 +130,7 @@ class Status(Document):
     since_s: float | None
     phase: str
     alarm: str
+    fault: int = Field(description="number of the newest FAULT, also of one that is acknowledged; 0: there was none")
     problems: list[str] = Field(description="what a person should look at, the gravest first")
     notices: list[str]
     axes: dict[str, AxisStatus]
@@ -445,6 +446,12 @@ class Disable(Enable):
     """What to switch off."""
 
     zero: bool = Field(False, description="retreat to zero instead of to where the reference left it")
+
+
+class Acknowledge(Document):
+    """Which FAULT is acknowledged: a newer one than that is not cleared."""
+
+    fault: int = Field(ge=1, lt=2**31, description="its number, as the status tells it")
 
 
 class ExportWhat(StrEnum):

@@ -188,6 +188,7 @@ class CampaignDaemon:
             tuple(map(int, estimate.imputed)) if estimate is not None else (),
             tuple(memory.tools),
             daemon.snapshots.thermal.model_waits,
+            control.journal.number,
         )
 
     def _estimated(self, control: ControlTask, memory: OutputMemory, estimate: ThermalErrorEstimate | None) -> bool:

@@ -80,6 +80,8 @@ class Claims:
     """Tools whose settings count."""
     waits: str = ""
     """Why a released model makes no estimates yet, '' when none waits."""
+    fault: int = 0
+    """Number of the newest FAULT."""
 
 
 class WriteWatch:

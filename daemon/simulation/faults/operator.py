@@ -52,7 +52,7 @@ class Person:
         if claims.state == "FAULT" and calm:
             self._asked_at_s = time_s
             self.acknowledges += 1
-            return self._ask("acknowledge")
+            return self._ask("acknowledge", fault=claims.fault)
         off = claims.state == "OFF" or (claims.state == "RETREAT" and not any(claims.wanted))
         long_hold = claims.state == "HOLD" and time_s - self._since[1] > LONG_HOLD_S
         if (off or long_hold) and time_s >= self._resting_until_s:

@@ -69,7 +69,7 @@ async def main() -> None:
         await item
     told = await heard
     write = await reader.write(node("temperature.1"), 1.0)
-    called = await reader.call(node("machine"), node("acknowledge"))
+    called = await reader.call(node("machine"), node("reference"))
     await reader.disconnect()
     result = {
         "value": float(tag.value),

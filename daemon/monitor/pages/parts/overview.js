@@ -201,16 +201,16 @@ function offer(place, status, context) {
     ["reference", "Set the reference", "Set the reference now?", "The present position counts as free of thermal error: do this right after the work was positioned.", false],
     tuned.configured && !tuned.switched_on && context.may("engineer") && ["enable-speed", "Tune the spindle speed", "Tune the spindle speed?", "The NC takes a speed that the lobes allow, within the limits of the configuration, at its next safe point.", false],
     tuned.configured && tuned.switched_on && ["disable-speed", "Stop tuning the speed", "Stop tuning the spindle speed?", "The NC goes back to the programmed speed at its next safe point.", false],
-    (status.alarm || status.state === "FAULT") && ["acknowledge", "Acknowledge", "Acknowledge the fault?", "Do it when the cause is gone. The output then holds what the CNC applies, and the axes that are switched on follow again by themselves when everything is good.", true],
+    status.state === "FAULT" && ["acknowledge", "Acknowledge", `Acknowledge FAULT ${status.fault}?`, `${sentence(status.reason)} Do it when the cause is gone; a FAULT that comes later is not cleared. The output then holds what the CNC applies, and the axes that are switched on follow again by themselves when everything is good.`, true],
   ].filter(Boolean);
-  const key = wanted.map(([name]) => name).join();
+  const key = wanted.map(([name, , question]) => name + question).join();
   if (place.dataset.key === key) return;
   place.dataset.key = key;
   place.replaceChildren(...wanted.map(([name, words, question, explanation, danger]) => h("button", {
     type: "button", class: danger ? "danger" : "quiet", id: `do-${name}`,
     onclick: () => context.confirm({
       question, explanation, yes: words, danger,
-      carry: () => act(name.split("-")[0], { "disable-zero": { zero: true }, "enable-speed": { spindle_speed: true }, "disable-speed": { spindle_speed: true } }[name]),
+      carry: () => act(name.split("-")[0], { "disable-zero": { zero: true }, acknowledge: { fault: status.fault }, "enable-speed": { spindle_speed: true }, "disable-speed": { spindle_speed: true } }[name]),
     }),
   }, words)));
 }
