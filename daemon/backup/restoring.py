@@ -213,7 +213,7 @@ def disarm(store: Path, manifest: Manifest, person: str) -> None:
             connection.execute("COMMIT")
             connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         connect_reader(store).close()
-    except (HistoryError, sqlite3.Error) as error:
+    except (HistoryError, sqlite3.Error, UnicodeDecodeError) as error:
         raise BackupError(f"the store in the back-up cannot be used: {error}") from error
 
 

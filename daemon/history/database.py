@@ -50,7 +50,7 @@ def connect_writer(path: Path) -> sqlite3.Connection:
         connection.execute("PRAGMA synchronous=FULL")
         connection.execute(f"PRAGMA cache_size=-{CACHE_KIB}")
         connection.execute(f"PRAGMA journal_size_limit={16 * 2**20}")
-    except sqlite3.DatabaseError as error:
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
         connection.close()
         _refuse_foreign(error, path)
         raise
@@ -105,7 +105,7 @@ def _open_read_only(path: Path, also_on_full_disk: bool) -> sqlite3.Connection:
             raise _unreadable(path, error) from error
         # Without a -wal file there is no writer; a reader that may not create one reads the file as it is.
         connection = sqlite3.connect(f"{uri}&immutable=1", uri=True, isolation_level=None)
-    except sqlite3.DatabaseError as error:
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
         connection.close()
         _refuse_foreign(error, path)
         raise HistoryError(f"{path}: the store cannot be read ({error})") from error
@@ -168,6 +168,8 @@ def _migrate(connection: sqlite3.Connection, path: Path) -> None:
             raise
 
 
-def _refuse_foreign(error: sqlite3.DatabaseError, path: Path) -> None:
+def _refuse_foreign(error: sqlite3.DatabaseError | UnicodeDecodeError, path: Path) -> None:
+    if isinstance(error, UnicodeDecodeError):  # SQLite's own sentence holds a byte of the file
+        raise HistoryError(f"{path}: the store is damaged (its schema cannot be read); restore a back-up") from error
     if getattr(error, "sqlite_errorname", "") == "SQLITE_NOTADB":
         raise HistoryError(f"{path}: this file is not a SQLite database; give another history.path") from error

@@ -243,6 +243,16 @@ def test_a_damaged_page_is_a_sentence_with_what_to_do(tmp_path: Path, table: str
         reader.temperatures(None, 0.0, 1e11)
 
 
+@pytest.mark.parametrize("connect", [database.connect_reader, database.connect_writer])
+def test_a_damaged_schema_is_a_sentence_with_what_to_do(tmp_path: Path, connect: Callable[[Path], object]) -> None:
+    """The byte is no UTF-8, and SQLite's own sentence holds it."""
+    path = tmp_path / "history.sqlite"
+    database.connect_writer(path).close()
+    path.write_bytes(path.read_bytes().replace(b"CREATE TABLE", b"CREATE T\xc1BLE", 1))
+    with pytest.raises(HistoryError, match=r"the store is damaged \(its schema cannot be read\); restore a back-up"):
+        connect(path)
+
+
 def test_a_store_that_another_program_holds_for_itself_is_said_to_be_held(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
