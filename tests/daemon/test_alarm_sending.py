@@ -19,7 +19,7 @@ from config.schema.base import KeyProblems
 from config.schema.sinks import MailConfig, SinkConfig, WebhookConfig
 from daemon.cli import main
 from daemon.sinks.alarms.ledger import Alarm, Condition, Entry, Ledger, Limits
-from daemon.sinks.alarms.message import Message
+from daemon.sinks.alarms.message import Message, UnansweredError
 from daemon.sinks.contract import SinkError
 from daemon.sinks.running import make_messenger
 
@@ -103,6 +103,18 @@ def test_who_gets_no_mail_is_named_and_the_others_get_it_once() -> None:
         assert "check `recipients`" in refusal(mail_sink(box.port)) and len(box.letters) == 1
         box.refused, box.answer = (), "452 the disk is full"
         assert "it answers 452 the disk is full: look at the server" in refusal(mail_sink(box.port))
+
+
+def test_a_server_that_examines_a_mail_first_may_answer_late_and_one_that_never_does_may_have_it() -> None:
+    with mail_server(answer_after_s=0.5) as box:
+        assert make_messenger(mail_sink(box.port, timeout_s=0.2)).send(MESSAGE) == "" and len(box.letters) == 1
+        box.answer_after_s = 30.0
+        with pytest.raises(UnansweredError, match="`timeout_s`"):
+            make_messenger(mail_sink(box.port, timeout_s=0.1)).send(MESSAGE)
+        box.answer_after_s, box.answer = 0.0, "452 the disk is full"
+        with pytest.raises(SinkError) as refused:
+            make_messenger(mail_sink(box.port)).send(MESSAGE)
+        assert not isinstance(refused.value, UnansweredError), "it said that it does not take it"
 
 
 @pytest.mark.parametrize("ending", ["\r\n", "\n", "\r", "\u2028", "\x0b", "\x1b[2J"])

@@ -170,6 +170,49 @@ async def test_a_server_that_refuses_loses_nothing_and_the_runner_says_which_key
         assert len(it.posts.asked) == 2
 
 
+@pytest.mark.parametrize("status", [500, 504])
+async def test_who_has_a_message_and_does_not_say_so_gets_it_again_no_more_often_than_others(
+    tmp_path: Path, status: int
+) -> None:
+    async with hall(tmp_path, interval_s=300.0) as it:
+        await it.rig.turn()
+        await it.look()
+        await fault(it.rig, "why")
+        it.posts.status = status
+        await it.look()
+        assert f"it answers {status}" in it.runner.cursor.problem
+        for _ in range(3):
+            await it.look(60.0)
+        assert len(it.posts.asked) == 1, "each of them may be one more message for people"
+        await it.look(180.0)
+        assert len(it.posts.asked) == 2
+        it.posts.status = 200
+        (said,) = await it.look(300.0)
+        assert said.endswith("why") and it.runner.cursor.problem == ""
+
+
+async def test_what_is_not_known_to_be_taken_is_a_problem_until_it_is(tmp_path: Path) -> None:
+    async with hall(tmp_path, interval_s=300.0) as it:
+        await it.rig.turn()
+        await fault(it.rig, "why")
+        it.posts.status = 504
+        problems, stop = [], threading.Event()
+
+        def wait(_duration_s: float) -> None:
+            problems.append(runner.cursor.problem)
+            it.away_s += 100.0
+            if len(problems) == 3:
+                it.posts.status = 200
+            if len(problems) == 5:
+                stop.set()
+
+        await it.rig.history.flushed()
+        runner = it.runner_until(stop, wait)
+        await asyncio.to_thread(runner.run)
+        assert ["504" in problem for problem in problems] == [True, True, True, False, False]
+        assert len(it.posts.asked) == 2
+
+
 async def test_a_store_that_cannot_be_read_keeps_no_alarm_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As one whose disk is gone: the daemon still says how the machine is."""
     monkeypatch.setattr(alarm_sink, "LOOK_S", 0.0)

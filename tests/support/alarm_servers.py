@@ -1,5 +1,6 @@
 """Real servers that take alarms: SMTP (aiosmtpd) and HTTP (the standard library's), with and without TLS."""
 
+import asyncio
 import json
 import ssl
 import threading
@@ -36,6 +37,7 @@ class MailBox:
     refusal: str = "550 no such mailbox"
     account: tuple[str, str] | None = None
     answer: str = "250 OK"
+    answer_after_s: float = 0.0
 
     async def handle_RCPT(self, server, session, envelope, address, options):
         if address in self.refused:
@@ -47,6 +49,7 @@ class MailBox:
         if self.answer.startswith("250"):
             self.letters.append(message_from_bytes(envelope.content, policy=policy.default))
             self.envelopes.append((envelope.mail_from, list(envelope.rcpt_tos)))
+        await asyncio.sleep(self.answer_after_s)
         return self.answer
 
     def __call__(self, server, session, envelope, mechanism, auth_data) -> AuthResult:

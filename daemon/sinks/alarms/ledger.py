@@ -115,7 +115,7 @@ class Ledger:
         entries.sort(key=lambda entry: (entry.alarm.kind not in URGENT, LATER.get(entry.change, 0)))
         return tuple(entries[:MOST_ENTRIES])
 
-    def told(self, entries: Iterable[Entry], now_utc_s: float) -> "Ledger":
+    def told(self, entries: Collection[Entry], now_utc_s: float) -> "Ledger":
         """Return the ledger after people were told; what has ended is forgotten."""
         told = {entry.alarm.key: entry.alarm for entry in entries}
         left = []
@@ -124,8 +124,12 @@ class Ledger:
                 left.append(alarm)
             elif alarm.ended_utc_s is None:
                 left.append(replace(alarm, told_utc_s=now_utc_s, told_reasons=alarm.reasons, times=1))
-        urgent = any(alarm.kind in URGENT for alarm in told.values())
-        return Ledger(alarms=tuple(left), sent_utc_s=now_utc_s, urgent_utc_s=now_utc_s if urgent else self.urgent_utc_s)
+        return replace(self.sent(entries, now_utc_s), alarms=tuple(left))
+
+    def sent(self, entries: Collection[Entry], now_utc_s: float) -> "Ledger":
+        """Return the ledger after a message that people may have got: the next one has to wait."""
+        urgent = any(entry.alarm.kind in URGENT for entry in entries)
+        return replace(self, sent_utc_s=now_utc_s, urgent_utc_s=now_utc_s if urgent else self.urgent_utc_s)
 
 
 def _on_one_line(condition: Condition) -> Condition:

@@ -8,11 +8,11 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from email.message import EmailMessage
 from email.utils import format_datetime
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from config.schema.sinks import SinkConfig
 from config.secret_files import SecretError, read_secret
-from daemon.sinks.alarms.message import Message
+from daemon.sinks.alarms.message import Message, UnansweredError
 from daemon.sinks.alarms.sending import Connection, answer
 from daemon.sinks.contract import SinkError
 from daemon.sinks.vouching import tls_context, unvouched
@@ -33,10 +33,11 @@ class MailMessenger:
         assert config.mail is not None
         self._config = config.mail
         self._where = f"sink {config.name}: mail server {config.place}"
+        self._unanswered = False
 
     def send(self, message: Message) -> str:
         """Hand a message over; raises SinkError unless the server took it, and returns whom it refused."""
-        password = ""
+        password, self._unanswered = "", False
         try:
             if self._config.password_file is not None:
                 password = read_secret("password_file", self._config.password_file)
@@ -44,7 +45,8 @@ class MailMessenger:
         except SecretError as error:
             raise SinkError(f"{self._where}: {error}") from None
         except (OSError, ssl.SSLError, smtplib.SMTPException, ValueError) as error:
-            raise SinkError(f"{self._where}: {_refusal(error, password)}") from None
+            kind = UnansweredError if self._unanswered else SinkError
+            raise kind(f"{self._where}: {_refusal(error, password)}") from None
         return f"{self._where}: {_refused(refused)}" if refused else ""
 
     def letter(self, message: Message) -> EmailMessage:
@@ -76,7 +78,10 @@ class MailMessenger:
                 _start_tls(client, connection, context)
             if config.user_name is not None:
                 client.login(config.user_name, password)
-            refused = client.send_message(letter)
+            try:
+                refused = client.send_message(letter)
+            finally:
+                self._unanswered = client.unanswered
             with suppress(OSError, smtplib.SMTPException):  # the message was taken
                 client.quit()
             return refused
@@ -84,6 +89,24 @@ class MailMessenger:
 
 class _Client(smtplib.SMTP):
     """A client that reads answers up to a length: lines of an answer may go on without end."""
+
+    unanswered = False
+    """The server has the message, or is getting it, and has not said that it took or refuses it."""
+
+    def data(self, msg: Any) -> tuple[int, bytes]:
+        """Hand the message over; a server that examines it first may take all the time that is left for its answer."""
+        assert self.sock is not None
+        wait_s = self.sock.gettimeout()
+        self.sock.settimeout(None)
+        self.unanswered = True
+        try:
+            said = super().data(msg)
+        except smtplib.SMTPResponseException:
+            self.unanswered = False
+            raise
+        self.unanswered = False
+        self.sock.settimeout(wait_s)
+        return said
 
     def getreply(self) -> tuple[int, bytes]:
         """Return code and words of an answer."""
@@ -143,7 +166,7 @@ def _refusal(error: Exception, password: str) -> str:
         case ssl.SSLError():
             return f"no encryption ({error.reason or 'broken off'}): check `encryption` and `port`"
         case TimeoutError():
-            return f"no answer ({answer(error) or 'timed out'}): check `host`, `port`, `encryption` and the network"
+            return f"no answer ({answer(error) or 'timed out'}): check `host`, `port`, `encryption`, `timeout_s` and the network"
         case smtplib.SMTPServerDisconnected() if str(error).endswith("timed out"):  # as the library names silence
             return _refusal(TimeoutError(), password)
         case smtplib.SMTPServerDisconnected():

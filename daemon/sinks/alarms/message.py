@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from typing import Any, Protocol
 
 from daemon.sinks.alarms.ledger import Entry
+from daemon.sinks.contract import SinkError
 from models.json_values import printable
 
 LONGEST_SUBJECT = 150
@@ -69,6 +70,10 @@ class Message:
             "text": self.subject,
             "alarms": [_entry(self.machine, entry) for entry in self.entries],
         }
+
+
+class UnansweredError(SinkError):
+    """All of a message was handed over, and nothing says whether it was taken: people may have got it."""
 
 
 class Messenger(Protocol):

@@ -25,7 +25,7 @@ from config.schema.sinks import AlarmsConfig, SinkConfig
 from daemon.history.cursors import Cursor, Position, cursor_path
 from daemon.history.database import HistoryError
 from daemon.sinks.alarms.ledger import Condition, Ledger, Limits
-from daemon.sinks.alarms.message import Message, Messenger
+from daemon.sinks.alarms.message import Message, Messenger, UnansweredError
 from daemon.sinks.alarms.observing import OF_STATUS, Lasting, asked, of_computer, of_status, worn_models
 from daemon.sinks.contract import Progress, SinkWaitsError
 from daemon.sinks.outbox import STREAMS, Outbox
@@ -162,6 +162,8 @@ class AlarmSink:
         self._computer: tuple[Condition, ...] = ()
         self._unwritten = ""
         """Why the file does not hold what is known, '' where it does."""
+        self._unanswered = ""
+        """Why nobody knows whether the last message was taken."""
 
     def open(self, cursor: Cursor) -> Mapping[str, Position]:
         """Return how far the events were read."""
@@ -180,8 +182,8 @@ class AlarmSink:
             self._looked_s = time.monotonic()
         self._save()
         told = self._tell()
-        if self._unwritten:
-            raise SinkWaitsError(self._unwritten)
+        if problem := self._unwritten or self._unanswered:
+            raise SinkWaitsError(problem)
         if events or told:
             progress.acknowledged(EVENTS.name, Position(row=self._known.row), self._now_utc_s(), sent=told, stored=told)
         return False
@@ -284,17 +286,22 @@ class AlarmSink:
         self._known = replace(self._known, worn=worn, worn_utc_s=now_utc_s)
 
     def _tell(self) -> int:
-        """Send what is due; return the number of its alarms."""
+        """Send what is due; return the number of its alarms that people were told."""
         now_utc_s, ledger = self._now_utc_s(), self._known.ledger
         limits = Limits(interval_s=self._alarms.interval_s, remind_s=3600.0 * self._alarms.remind_after_h)
         if not (entries := ledger.due(limits, now_utc_s)):
             return 0
         message = Message(machine=self._configuration.machine, time_utc_s=now_utc_s, entries=entries)
-        if problem := self._messenger.send(message):
-            log.warning("alarms.not_everybody", sink=self._name, problem=problem)
-        self._known = replace(self._known, ledger=ledger.told(entries, now_utc_s))
+        self._unanswered = ""
+        try:
+            if problem := self._messenger.send(message):
+                log.warning("alarms.not_everybody", sink=self._name, problem=problem)
+            ledger = ledger.told(entries, now_utc_s)
+        except UnansweredError as error:
+            self._unanswered, ledger = str(error), ledger.sent(entries, now_utc_s)
+        self._known = replace(self._known, ledger=ledger)
         self._save()
-        return len(entries)
+        return 0 if self._unanswered else len(entries)
 
     def _save(self) -> None:
         """Replace the file in one step, when it changes."""

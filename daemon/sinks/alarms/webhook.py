@@ -7,7 +7,7 @@ from urllib.parse import urlsplit
 
 from config.schema.sinks import SinkConfig
 from config.secret_files import SecretError, read_secret
-from daemon.sinks.alarms.message import Message
+from daemon.sinks.alarms.message import Message, UnansweredError
 from daemon.sinks.alarms.sending import Connection, answer
 from daemon.sinks.contract import SinkError
 from daemon.sinks.vouching import tls_context, unvouched
@@ -26,6 +26,8 @@ HINTS = {
     429: "it asks for fewer messages: raise `alarms.interval_s`",
 }
 """What the server answered -> what to do."""
+TAKEN_OR_NOT = (500, 502, 504)
+"""What a program answers that failed, perhaps after it had told people, or a proxy that waited for it in vain."""
 MOST_BYTES = 4096
 """So much of an answer is read."""
 
@@ -37,10 +39,12 @@ class WebhookMessenger:
         assert config.webhook is not None
         self._config = config.webhook
         self._where = f"sink {config.name}: webhook {config.place}"
+        self._unanswered = False
+        """The server has the message, and has not said that it took or refuses it."""
 
     def send(self, message: Message) -> str:
         """Post a message; raises SinkError unless it was taken, and returns ''."""
-        config = self._config
+        config, self._unanswered = self._config, False
         try:
             url = config.url or read_secret("url_file", config.url_file).strip()  # type: ignore[arg-type] # one is there
             token = "" if config.token_file is None else read_secret("token_file", config.token_file).strip()
@@ -48,12 +52,15 @@ class WebhookMessenger:
         except SecretError as error:
             raise SinkError(f"{self._where}: {error}") from None
         except (OSError, ssl.SSLError, http.client.HTTPException, ValueError) as error:
-            raise SinkError(f"{self._where}: {_refusal(error)}") from None
+            raise self._problem(_refusal(error)) from None
         if not 200 <= status < 300:
             hidden = (token, url.partition("://")[2]) if token else (url.partition("://")[2],)
             hint = HINTS.get(status, "look at the server; it is tried again")
-            raise SinkError(f"{self._where}: it answers {status} {answer(said, *hidden)}".rstrip() + f": {hint}")
+            raise self._problem(f"it answers {status} {answer(said, *hidden)}".rstrip() + f": {hint}")
         return ""
+
+    def _problem(self, text: str) -> SinkError:
+        return (UnansweredError if self._unanswered else SinkError)(f"{self._where}: {text}")
 
     def _post(self, url: str, token: str, body: bytes) -> tuple[int, str]:
         """Return status and beginning of the answer."""
@@ -71,7 +78,9 @@ class WebhookMessenger:
             client.sock = connection.socket if context is None else connection.encrypt(context)
             path = parts.path or "/"
             client.request("POST", f"{path}?{parts.query}" if parts.query else path, body, headers)
+            self._unanswered = True
             response = client.getresponse()
+            self._unanswered = response.status in TAKEN_OR_NOT
             taken = 200 <= response.status < 300  # nothing that comes after this can undo it
             return response.status, "" if taken else response.read(MOST_BYTES).decode("utf-8", "replace")
 
