@@ -166,7 +166,8 @@ def _refusal(error: Exception, password: str) -> str:
         case ssl.SSLError():
             return f"no encryption ({error.reason or 'broken off'}): check `encryption` and `port`"
         case TimeoutError():
-            return f"no answer ({answer(error) or 'timed out'}): check `host`, `port`, `encryption`, `timeout_s` and the network"
+            hint = "check `host`, `port`, `encryption`, `timeout_s` and the network"
+            return f"no answer ({answer(error) or 'timed out'}): {hint}"
         case smtplib.SMTPServerDisconnected() if str(error).endswith("timed out"):  # as the library names silence
             return _refusal(TimeoutError(), password)
         case smtplib.SMTPServerDisconnected():
