@@ -174,7 +174,7 @@ def rollback(
     with repository.locked():
         active = repository.active()
         _refuse_the_daemons_reach(configuration, repository)
-        number = to if to is not None else _before(active)
+        number = to if to is not None else _before(active, repository.records())
         found, content = repository.content(number)
         if active is not None and found.sha256 == active.sha256:
             raise ReleaseError(f"release {number} holds the model that is active now")
@@ -316,7 +316,11 @@ def _refuse_the_daemons_reach(configuration: Configuration, repository: ReleaseR
         )
 
 
-def _before(active: ReleaseRecord | None) -> int:
+def _before(active: ReleaseRecord | None, records: list[ReleaseRecord]) -> int:
+    """Return what was active before the model in force was released, so that going back again goes further back."""
+    if active is not None and active.action == "rollback":
+        came = (each for each in reversed(records) if (each.action, each.sha256) == ("release", active.sha256))
+        active = next(came, active)
     if active is None or active.previous is None:
         raise ReleaseError("no earlier release is known to go back to; `toolpoint model list` shows what there is")
     return active.previous.number

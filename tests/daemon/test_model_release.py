@@ -172,6 +172,17 @@ def test_releases_follow_each_other_and_lead_back(folder):
         rollback(configuration, person="ben", to=77)
 
 
+def test_going_back_again_goes_further_back_and_never_to_what_was_gone_back_from(folder):
+    configuration = configured(folder)
+    for name in ("ridge-1", "ridge-2", "ridge-3"):
+        release(configuration, proposal(folder, model(name)), person="anna")
+    assert [rollback(configuration, person="ben").model_id for _ in range(2)] == ["ridge-2", "ridge-1"]
+    with pytest.raises(ReleaseError, match="no earlier release"):
+        rollback(configuration, person="ben")
+    release(configuration, proposal(folder, model("ridge-4")), person="anna")
+    assert rollback(configuration, person="ben").model_id == "ridge-1"
+
+
 def refusal(folder: Path, path: Path, **changes: object) -> str:
     configuration = configured(folder, **changes)
     with pytest.raises(ReleaseError) as refused:
