@@ -70,6 +70,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "The OPC UA server": (
         "daemon/monitor/passwords.py",
         "daemon/monitor/opcua/users.py",
+        "drivers/opcua/certificates.py",
         "drivers/opcua/server/settings.py",
         "drivers/opcua/server/wire.py",
     ),

@@ -22,10 +22,9 @@ from drivers.contract import FatalDriverError
 def load_certificate(path: Path) -> x509.Certificate:
     """Return the certificate in a file, PEM or DER whatever its name; raises FatalDriverError."""
     content = read_file(path, "certificate")
+    load = x509.load_pem_x509_certificate if b"-----BEGIN" in content else x509.load_der_x509_certificate
     try:
-        if b"-----BEGIN" in content:
-            return x509.load_pem_x509_certificate(content)
-        return x509.load_der_x509_certificate(content)
+        return load(content)
     except ValueError as error:
         raise FatalDriverError(f"{path} is not a certificate in PEM or DER form: {error}") from error
 
@@ -49,8 +48,7 @@ def application_uri(certificate: x509.Certificate) -> str | None:
         names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except x509.ExtensionNotFound:
         return None
-    uris = names.get_values_for_type(x509.UniformResourceIdentifier)
-    return uris[0] if uris else None
+    return next(iter(names.get_values_for_type(x509.UniformResourceIdentifier)), None)
 
 
 def thumbprint(certificate: x509.Certificate) -> str:
@@ -88,17 +86,25 @@ class OpcUaCredentials:
     server_certificate: x509.Certificate
 
 
+def load_pair(certificate_path: Path, key_path: Path) -> tuple[x509.Certificate, rsa.RSAPrivateKey, str]:
+    """Return a certificate, its key and its application URI; raises FatalDriverError that names the file."""
+    certificate, key = load_certificate(certificate_path), load_private_key(key_path)
+    refuse_readable_by_others(key_path, "private key")
+    if (uri := application_uri(certificate)) is None:
+        raise FatalDriverError(
+            f"the certificate {certificate_path} carries no application URI (subject alternative name); make a new one"
+        )
+    if key.public_key() != certificate.public_key():
+        raise FatalDriverError(
+            f"the private key {key_path} does not belong to the certificate {certificate_path}: put its own key there; "
+            "one that the service manager hands over is read at the start of the service"
+        )
+    return certificate, key, uri
+
+
 def load_credentials(config: OpcUaSecurityConfig) -> OpcUaCredentials:
     """Read all files of the security section; raises FatalDriverError that names the file and what to do."""
-    certificate = load_certificate(config.certificate)
-    uri = application_uri(certificate)
-    if uri is None:
-        raise FatalDriverError(
-            f"the certificate {config.certificate} carries no application URI in its subject alternative name, so "
-            "OPC UA servers refuse it; make a new one"
-        )
-    private_key = load_private_key(config.private_key)
-    refuse_readable_by_others(config.private_key, "private key")
+    certificate, private_key, uri = load_pair(config.certificate, config.private_key)
     return OpcUaCredentials(
         user_name=config.user_name,
         password=_read_password(config.password_file),

@@ -3,10 +3,13 @@
 import asyncio
 import contextlib
 import math
+from pathlib import Path
 
 import pytest
 from asyncua import Client, ua
 from asyncua.common.utils import Buffer
+from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
+from asyncua.crypto.uacrypto import CertProperties
 from asyncua.ua.ua_binary import struct_from_binary
 from asyncua.ua.uaerrors import UaError, UaStatusCodeError
 from control_rig import SENSOR_IDS
@@ -14,6 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from opcua_bench import NOW, ROLES, TAGS, OpcUaBench, tag_server, tell
 from scripted_machine import Keys
+from structlog.testing import capture_logs
 
 from daemon.history.reader import HistoryReader
 from drivers.opcua.bounded import Received
@@ -228,6 +232,39 @@ async def test_who_is_not_named_not_trusted_or_not_signed_does_not_get_in(tmp_pa
         await bench.rig.history.flushed()
         assert bench.events().count(("wrong name or password over OPC UA ('anna')", "127.0.0.1")) == 5
         assert not any(person and "anna" in person for _, person in bench.events())
+
+
+async def test_a_renewed_certificate_counts_from_the_next_connection_and_waits_for_its_key(tmp_path):
+    for name in ("keys", "renewed"):
+        (tmp_path / name).mkdir()
+    keys, renewed = Keys(tmp_path / "keys"), Keys(tmp_path / "renewed")
+    before = tmp_path / "before.pem"
+    before.write_bytes(keys.server.read_bytes())
+
+    async def reads(bench: OpcUaBench, trusting: Path) -> bool:
+        client = await bench.client("otto")
+        await client.set_security(
+            SecurityPolicyBasic256Sha256,
+            str(keys.client),
+            CertProperties(keys.client_key, extension="pem"),
+            server_certificate=str(trusting),
+        )
+        client.session_timeout = 60_000
+        try:
+            async with asyncio.timeout(10.0), client:
+                return await (await node(client, "state.output")).read_value() == "OFF"
+        except (UaError, ConnectionError, TimeoutError):
+            return False
+
+    async with tag_server(tmp_path, keys) as bench:
+        assert await reads(bench, before)
+        keys.server.write_bytes(renewed.server.read_bytes())
+        with capture_logs() as logs:
+            assert await reads(bench, before), "its key is not there yet"
+        assert any("does not belong to the certificate" in entry.get("problem", "") for entry in logs)
+        keys.server_key.write_bytes(renewed.server_key.read_bytes())
+        assert await reads(bench, keys.server)
+        assert not await reads(bench, before)
 
 
 async def test_a_session_ends_with_its_account_and_there_are_only_so_many(tmp_path, keys):

@@ -70,6 +70,14 @@ async def test_untrusted_client_certificate_is_fatal(server: SimulatedCncServer,
         await cnc.connect()
 
 
+async def test_a_renewed_certificate_without_its_key_is_named_and_not_the_cnc(
+    server: SimulatedCncServer, keys: Keys, strangers: Keys
+) -> None:
+    cnc = driver(server, keys, private_key=strangers.client_key)
+    with pytest.raises(FatalDriverError, match=r"client.key does not belong to the certificate .*client.der"):
+        await cnc.connect()
+
+
 async def test_another_server_certificate_is_fatal(server: SimulatedCncServer, keys: Keys, strangers: Keys) -> None:
     cnc = driver(server, keys, server_certificate=strangers.server)
     with pytest.raises(FatalDriverError, match=r"another certificate than the one that is trusted.* [0-9A-F]{64}"):

@@ -11,6 +11,7 @@ from asyncua import ua
 from asyncua.ua.status_codes import StatusCodes
 
 from config.schema import Configuration
+from config.schema.service import OpcUaServerConfig
 from daemon.history.writer import HistoryWriter
 from daemon.monitor.accounts import Accounts, Role
 from daemon.monitor.commands import CommandDesk
@@ -23,7 +24,7 @@ from daemon.snapshots import SnapshotBoard
 from drivers.contract import FatalDriverError
 from drivers.opcua.server.encoding import Encoded, Kind, variant
 from drivers.opcua.server.server import TagServer
-from drivers.opcua.server.settings import Trusted, load_identity
+from drivers.opcua.server.settings import Identity, Trusted, load_identity
 from drivers.opcua.server.space import COMPONENT, CallRefusedError, Method, Space
 from drivers.opcua.server.standard import add_arguments, standard_space
 
@@ -107,6 +108,7 @@ class OpcUaService:
         self, configuration: Configuration, board: SnapshotBoard, desk: CommandDesk, history: HistoryWriter
     ) -> None:
         self._configuration, self._board, self._desk, self._history = configuration, board, desk, history
+        self._seen: tuple[int, ...] = ()
 
     async def serve(self, on_serving: Callable[[], None] = lambda: None) -> None:
         """Serve until cancelled; raises OSError when port, certificate or key cannot be used."""
@@ -114,7 +116,7 @@ class OpcUaService:
         section = self._configuration.opcua_server
         assert section is not None
         most = section.sessions + SPARE_CONNECTIONS
-        connections = BoundedConnections("OPC UA server", _serving(server), most=most)
+        connections = BoundedConnections("OPC UA server", self._serving(server), most=most)
         with listening(section.host, section.port, WAITING_CONNECTIONS) as listener:
             endpoint = f"opc.tcp://{in_url(section.host, listener.getsockname()[1])}/"
             log.info("opcua_server.serving", endpoint=endpoint)
@@ -129,7 +131,7 @@ class OpcUaService:
         assert section is not None
         assert service.users is not None
         try:
-            identity = await asyncio.to_thread(load_identity, section.certificate, section.private_key)
+            identity = await asyncio.to_thread(self._identity)
         except FatalDriverError as error:
             raise OSError(str(error)) from error
         namespaces = [identity.application_uri, NAMESPACE]
@@ -146,12 +148,40 @@ class OpcUaService:
         users = AccountUsers(Accounts(service.users), self._history.event)
         return TagServer(identity, trusted, users, space, tags.refresh, sessions=section.sessions)
 
+    def _identity(self) -> Identity:
+        section = self._configuration.opcua_server
+        assert section is not None
+        self._seen = _stamps(section)
+        return load_identity(section.certificate, section.private_key)
 
-def _serving(server: TagServer) -> Callable[[socket.socket, Conversation], Awaitable[None]]:
-    async def serve(connection: socket.socket, conversation: Conversation) -> None:
-        def on_session(logged_in: bool) -> None:
-            conversation.busy = logged_in  # it is not ended in favour of one that has not logged in
+    async def _renew(self, server: TagServer) -> None:
+        """Take up certificate and key that were replaced on the disk; what does not fit leaves the old ones in use."""
+        section = self._configuration.opcua_server
+        assert section is not None
+        if _stamps(section) == self._seen:
+            return
+        try:
+            identity = await asyncio.to_thread(self._identity)
+            if identity.application_uri != server.identity.application_uri:
+                raise FatalDriverError(f"{section.certificate} has another application URI: restart the daemon")
+            server.identity = identity
+        except (FatalDriverError, OSError) as error:
+            log.warning("opcua_server.certificate_not_taken", problem=str(error))
 
-        await server.converse(connection, on_session)
+    def _serving(self, server: TagServer) -> Callable[[socket.socket, Conversation], Awaitable[None]]:
+        async def serve(connection: socket.socket, conversation: Conversation) -> None:
+            def on_session(logged_in: bool) -> None:
+                conversation.busy = logged_in  # it is not ended in favour of one that has not logged in
 
-    return serve
+            await self._renew(server)
+            await server.converse(connection, on_session)
+
+        return serve
+
+
+def _stamps(section: OpcUaServerConfig) -> tuple[int, ...]:
+    """Return what changes when certificate or key are replaced."""
+    try:
+        return tuple(path.stat().st_mtime_ns for path in (section.certificate, section.private_key))
+    except OSError:
+        return ()

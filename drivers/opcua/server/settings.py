@@ -9,7 +9,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 
 from drivers.contract import FatalDriverError
-from drivers.opcua.certificates import application_uri, load_certificate, load_private_key, refuse_readable_by_others
+from drivers.opcua.certificates import load_certificate, load_pair
 
 LEAST_KEY_BITS = 2048
 
@@ -43,16 +43,7 @@ class Identity:
 
 def load_identity(certificate_path: Path, key_path: Path) -> Identity:
     """Read certificate and key; raises FatalDriverError that names the file and what to do."""
-    certificate, key = load_certificate(certificate_path), load_private_key(key_path)
-    refuse_readable_by_others(key_path, "private key")
-    uri = application_uri(certificate)
-    if uri is None:
-        raise FatalDriverError(
-            f"the certificate {certificate_path} carries no application URI in its subject alternative name, so OPC UA "
-            "clients refuse it; make a new one"
-        )
-    if key.public_key() != certificate.public_key():
-        raise FatalDriverError(f"the private key {key_path} does not belong to the certificate {certificate_path}")
+    certificate, key, uri = load_pair(certificate_path, key_path)
     der = certificate.public_bytes(serialization.Encoding.DER)
     return Identity(certificate=certificate, private_key=key, application_uri=uri, der=der)
 
