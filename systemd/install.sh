@@ -89,7 +89,12 @@ if [ "$program_only" = no ]; then
     units="$root/etc/systemd/system"
     mkdir -p "$units" "$root/usr/lib/sysusers.d" "$root/usr/lib/tmpfiles.d" "$root/etc/udev/rules.d"
     for unit in toolpoint.service toolpoint-sink.service toolpoint-store.service toolpoint-release.service toolpoint-release.path; do
-        sed "s|/opt/toolpoint/|$prefix/|g" "$here/systemd/$unit" > "$units/$unit"
+        sed "s|/opt/toolpoint/|$prefix/|g" "$here/systemd/$unit" > "$units/.$unit.new"
+        if [ -e "$units/$unit" ] && ! cmp -s "$units/$unit" "$units/.$unit.new"; then
+            cp -p "$units/$unit" "$units/$unit.before-$version"
+            echo "install.sh: $units/$unit is the new version's; the old one is $unit.before-$version there. What you changed in it belongs into \`systemctl edit $unit\`, which no upgrade touches" >&2
+        fi
+        mv "$units/.$unit.new" "$units/$unit"
     done
     cp "$here/systemd/toolpoint.sysusers" "$root/usr/lib/sysusers.d/toolpoint.conf"
     cp "$here/systemd/toolpoint.tmpfiles" "$root/usr/lib/tmpfiles.d/toolpoint.conf"

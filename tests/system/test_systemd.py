@@ -105,6 +105,14 @@ def test_every_secret_that_the_guides_name_has_its_line_in_the_unit(unit: Path) 
     named = {name for text in guides for name in re.findall(rf"/run/credentials/{unit.name}/([\w.-]+)", text)}
     loaded = set(re.findall(r"^#LoadCredential=([\w.-]+):/etc/toolpoint/secrets/\1$", unit.read_text("utf-8"), re.M))
     assert named and named <= loaded
+    shown = {line for text in guides for line in re.findall(r"^    LoadCredential=(.+)$", text, re.M)}
+    assert {f"{name}:/etc/toolpoint/secrets/{name}" for name in loaded} & shown
+
+
+def test_no_guide_changes_a_unit_in_its_place_where_an_upgrade_writes_it_anew() -> None:
+    for path in sorted((SYSTEMD.parent / "docs").rglob("*.md")):
+        text = " ".join(path.read_text("utf-8").split())
+        assert "take the `#`" not in text and "lines out of the unit" not in text, path
 
 
 def test_unit_is_fed_by_the_watchdog_and_not_restarted_over_a_bad_configuration() -> None:
