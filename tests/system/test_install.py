@@ -120,9 +120,46 @@ def test_install_upgrade_and_back(tmp_path: Path) -> None:
     by_name.unlink()
     by_name.write_text("somebody's own", encoding="utf-8")
     shutil.rmtree(prefix / "0.0.2")
+    sink = root / "etc/systemd/system/toolpoint-sink.service"
+    as_shipped = sink.read_text("utf-8")
+    sink.write_text(as_shipped.replace("#LoadCredential=mail", "LoadCredential=mail"), encoding="utf-8")
     beside = install(made, prefix, "--root", str(root))
+    assert sink.read_text("utf-8") == as_shipped
+    changed = sink.with_name(f"{sink.name}.before-0.0.2")
+    assert "\nLoadCredential=mail" in changed.read_text("utf-8"), "what somebody changed is not lost"
+    assert changed.name in beside.stderr and f"systemctl edit {sink.name}" in beside.stderr
+    assert list(sink.parent.glob("*.before-*")) == [changed], "of the units that were as they come, none is kept"
     assert beside.returncode == 0 and by_name.read_text("utf-8") == "somebody's own"
     assert f"{by_name} is there already" in beside.stderr and f"{prefix}/current/bin/toolpoint" in beside.stderr
+
+
+@pytest.mark.parametrize(
+    ("shell", "asks"),
+    [
+        (["bash", "-i"], "complete -p toolpoint"),
+        (["zsh", "-i"], "print -r -- $_comps[toolpoint]"),
+        (["fish"], "complete -C 'toolpoint sin'"),
+    ],
+    ids=["bash", "zsh", "fish"],
+)
+def test_the_completion_of_the_guide_works_for_somebody_without_a_startup_file(
+    tmp_path: Path, shell: list[str], asks: str
+) -> None:
+    if shutil.which(shell[0]) is None:
+        pytest.skip(f"{shell[0]} is not installed")
+    guide = (ROOT / "docs/how-to/install.md").read_text("utf-8").split("Completion of commands", 1)[1]
+    lines = guide.split("\nWhat is there now", 1)[0].split(":\n", 1)[1]
+    program = Path(sys.executable).parent / "toolpoint"
+    environment = {"HOME": str(tmp_path), "PATH": f"{program.parent}:{os.environ['PATH']}", "TERM": "dumb"}
+
+    def run(command: list[str]) -> "subprocess.CompletedProcess[str]":
+        return subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120, check=False)
+
+    made = run(["sh", "-ec", lines.replace("/opt/toolpoint/current/bin/toolpoint", str(program))])
+    assert made.returncode == 0, made.stderr
+    asked = run([*shell, "-c", asks])
+    assert "sink" in asked.stdout or "_toolpoint_completion" in asked.stdout, asked.stderr
+    assert "command not found" not in asked.stderr
 
 
 @pytest.mark.parametrize(
