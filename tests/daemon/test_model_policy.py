@@ -97,4 +97,8 @@ def test_the_policy_takes_the_newest_that_is_not_worse(folder):
     assert release_by_policy(configuration, person="policy") is None, "what was released once is not proposed again"
 
 
-# --- the commands ----------------------------------------------------------------------------
+def test_the_policy_is_off_by_default(folder):
+    configuration = configured(folder)
+    proposal(folder, model())
+    with pytest.raises(ReleaseError, match="only a person releases"):
+        release_by_policy(configuration, person="policy")

@@ -88,3 +88,14 @@ def test_a_control_without_the_register_is_refused(tmp_path: Path) -> None:
     guard = {"watch_offset": True, "dialect": "sinumerik"}
     with pytest.raises(ValidationError, match="no system variable"):
         CncConfig.model_validate(cnc | {"opcua": cnc["opcua"] | {"preset": "sinumerik"}, "guard": guard})
+
+
+async def test_in_inches_nothing_is_judged(tmp_path: Path) -> None:
+    bench = watching(tmp_path)
+    async with running(bench.rig()) as rig:
+        await followed(rig, bench)
+        bench.nc.guard.control.modal[6] = 20
+        await rig.follow(-20.0, -20.0, 3)
+        bench.nc.guard.control.modal[6] = 21
+        await rig.follow(-20.0, -20.0, 3)
+        assert rig.state == "ACTIVE"

@@ -360,3 +360,14 @@ def test_a_block_left_half_written_by_a_dead_daemon_expires(bench: GuardBench) -
     assert bench.call(later_s=60.0) is GuardStatus.EXPIRED
     assert bench.message == "TOOLPOINT EXPIRED"
     assert bench.applied_um["z"] == pytest.approx(3.0)
+
+
+def test_an_alarm_instead_of_a_message_ends_the_program_after_the_echo(dialect: str) -> None:
+    bench = GuardBench(alarm="stop")
+    bench.write(z=1.0, valid_for_s=-1.0)
+    assert bench.call() is GuardStatus.EXPIRED
+    assert bench.nc.control.alarm == (103, "TOOLPOINT EXPIRED")
+    bench.write(z=1.0)
+    bench.macros.set(MAP.check, 0.0)
+    assert bench.call() is GuardStatus.CHECK
+    assert bench.nc.control.alarm == ({"fanuc": 114, "sinumerik": 130}[dialect], "TOOLPOINT CHECK DIFFERS")

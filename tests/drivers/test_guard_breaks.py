@@ -148,3 +148,13 @@ def test_an_uninitialised_control_is_never_moved() -> None:
     assert bench.nc.control.alarm is None
     bench.write(z=5.0)
     assert bench.call() is GuardStatus.APPLIED
+
+
+@pytest.mark.parametrize("argument", [0.0, 0.001, 2.0, -1.0])
+def test_initialising_with_another_argument_changes_nothing(bench: GuardBench, argument: float) -> None:
+    interpreter = bench.nc.at(bench.macros, CLOCK_S)
+    bench.write(enable=0.0, valid_for_s=None)
+    before = {number: bench.macros.get(number) for number in (*MAP.block, *MEMORY, MAP.echo_time)}
+    interpreter.run(bench.nc.programs.initialise, A=argument)
+    assert bench.nc.control.alarm is not None and bench.nc.control.alarm[1] == "TOOLPOINT A IS NOT 1"
+    assert {number: bench.macros.get(number) for number in before} == before

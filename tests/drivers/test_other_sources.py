@@ -23,6 +23,7 @@ from hypothesis import strategies as st
 from mosquitto import mosquitto
 
 from config.schema.source_drivers import SourceConfig
+from config.schema.source_sections import KernelSensorConfig
 from config.schema.sources import SourceSensorConfig
 from drivers import kernel, pushing
 from drivers.clock import SystemClock
@@ -89,6 +90,16 @@ def test_any_json_gives_numbers_or_a_reason(content: Any, field: str) -> None:
 
 
 # --- a logger's files -----------------------------------------------------------------
+
+
+def test_85_degrees_of_a_one_wire_sensor_are_its_power_up() -> None:
+    here = KernelSensorConfig.model_validate_json(
+        json.dumps({**SENSOR, "path": "/sys/bus/w1/devices/28-1/temperature"})
+    )
+    assert isinstance(judged(here, 85000.0), NoReading)
+    assert judged(here, 84937.0) == pytest.approx(84.937)
+    there = {**SENSOR, "path": "/sys/class/hwmon/hwmon1/temp1_input"}
+    assert judged(KernelSensorConfig.model_validate_json(json.dumps(there)), 85000.0) == pytest.approx(85.0)
 
 
 def logger(path: Path, period_s: float = PERIOD_S, **file: Any) -> LoggerSource:

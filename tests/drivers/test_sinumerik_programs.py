@@ -1,10 +1,13 @@
 """The interpreter of SINUMERIK programs refuses what it does not know, and what only a SINUMERIK's guard does."""
 
+import re
+
 import pytest
 from guard_bench import AXES, CLOCK_S, MAP, GuardBench
 
 from config.schema.cnc import RequestMacrosConfig
 from config.schema.guard import VACANT_R, GuardConfig
+from drivers.guard.programs import guard_text
 from drivers.guard.text import GuardPrograms, GuardStatus
 from drivers.sim.nc.nc import MacroTable
 from drivers.sim.nc.safe_point import SafePointApplication
@@ -126,12 +129,28 @@ def test_an_archive_that_is_none_is_refused(archive: str, words: str) -> None:
 # --- the text ----------------------------------------------------------------------------
 
 
+def test_only_parameters_of_the_map_and_of_the_guard_are_written() -> None:
+    text = guard_text(MAP, AXES, GUARD)
+    written = {int(number) for number in re.findall(r"^R(\d+)=", text, re.MULTILINE)}
+    written |= {int(number) for number in re.findall(r"DO \$R(\d+)=", text)}
+    echo = {*MAP.echo_applied.values(), MAP.echo_time, MAP.echo_status, MAP.echo_guard_version}
+    assert written == echo | {MAP.valid_until, 580, 581} | set(range(590, 597))
+
+
 # --- what only this guard does -----------------------------------------------------------
 
 
 @pytest.fixture
 def bench() -> GuardBench:
     return GuardBench(own_um={"z": 20.0}, dialect="sinumerik")
+
+
+def test_other_bits_of_the_compensation_type_do_not_stand_for_bit_0(bench: GuardBench) -> None:
+    bench.nc.control.compensation_types["X"] = 6
+    bench.write(z=5.0)
+    assert bench.call() is GuardStatus.SWITCHED_OFF
+    bench.nc.control.compensation_types["X"] = 7
+    assert bench.call() is GuardStatus.APPLIED
 
 
 @pytest.mark.parametrize("name", ["compensation_types", "velocity_factors"])

@@ -23,3 +23,10 @@ def test_each_depth_has_its_own() -> None:
     found = roughness_per_depth(depth, position, height)
     assert list(found) == [4.0, 6.0]
     assert found[6.0].ra_um == pytest.approx(5.0 * found[4.0].ra_um)
+
+
+def test_the_cut_off_passes_half_of_its_own_wavelength_and_all_of_what_is_fine() -> None:
+    waves = np.sin(2.0 * np.pi * POSITION_MM / 0.8)
+    fine = 0.2 * np.sin(2.0 * np.pi * POSITION_MM / 0.05)
+    assert profile_roughness(POSITION_MM, waves, 0.8).rq_um == pytest.approx(0.5 / np.sqrt(2.0), rel=0.05)
+    assert profile_roughness(POSITION_MM, fine, 0.8).rq_um == pytest.approx(0.2 / np.sqrt(2.0), rel=0.02)

@@ -103,6 +103,15 @@ def test_a_narrow_pocket_that_drifts_is_followed() -> None:
     assert memory.commanded_rpm > 10600.0
 
 
+def test_the_filter_smooths_inside_a_pocket_only() -> None:
+    settings = replace(SETTINGS, filter_s=60.0, dwell_s=0.0)
+    memory = step(initial_memory(8000.0), at(0.0, choice(8600.0)), settings)[1]
+    command, memory = step(memory, at(1.0, choice(8700.0, (8000.0, 9000.0))), settings)
+    assert not command.write
+    assert 8600.0 < memory.target_rpm < 8610.0
+    assert step(memory, at(2.0, choice(6500.0, (6400.0, 6700.0))), settings)[0].speed_rpm == 6500.0
+
+
 def test_another_pocket_is_one_jump() -> None:
     memory = begun()
     other = choice(6500.0, (6400.0, 6700.0))
