@@ -83,6 +83,7 @@ class ControlSocket:
         self._group = group
         self._handle = handle
         self._refused = RateLimit[tuple[str, str]](_say_refused)
+        self._turn = asyncio.Lock()
 
     async def run(self, on_serving: Callable[[], None] = lambda: None) -> None:
         """Serve until cancelled; `on_serving` is called when people can connect."""
@@ -125,6 +126,8 @@ class ControlSocket:
             while first := await reader.read(1):
                 async with asyncio.timeout(REQUEST_S):
                     line = first if first == b"\n" else first + await _rest_of_line(reader)
+                async with self._turn:  # one request in a turn of the loop, however many have arrived
+                    await asyncio.sleep(0)
                 with conversation.request():
                     answer = await self._answer(line, person)
                 async with asyncio.timeout(REQUEST_S):

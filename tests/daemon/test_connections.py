@@ -102,6 +102,31 @@ async def test_an_answer_that_nobody_takes_does_not_stay_in_memory(monkeypatch: 
                 await asyncio.sleep(0.05)
 
 
+async def most_in_a_turn(count: Callable[[], int], until: int) -> int:
+    """Return how much was done at most between two turns of the loop, until so much is done."""
+    most = 0
+    while (before := count()) < until:
+        await asyncio.sleep(0)
+        most = max(most, count() - before)
+    return most
+
+
+async def test_requests_that_arrive_together_on_the_control_socket_leave_the_control_its_turn(tmp_path: Path) -> None:
+    path, asked = tmp_path / "s", 0
+
+    async def counted(request: dict[str, Any], person: str) -> dict[str, Any]:
+        nonlocal asked
+        asked += 1
+        return request
+
+    async with running(ControlSocket(path, None, counted).run), asyncio.timeout(60):
+        writers = [(await asyncio.open_unix_connection(path))[1] for _ in range(5)]
+        for writer in writers:
+            writer.write(b"{}\n" * 400)
+        assert await most_in_a_turn(lambda: asked, 2000) <= 2
+        await ended(writers)
+
+
 async def test_half_said_requests_on_the_control_socket_are_bounded_and_others_are_answered(tmp_path: Path) -> None:
     path = tmp_path / "s"
     with capture_logs() as logs:

@@ -24,6 +24,7 @@ from drivers.opcua.bounded import Received
 from drivers.opcua.server import subscriptions
 from drivers.opcua.server.encoding import Kind, variant
 from drivers.opcua.server.requests import Request, ServiceError
+from drivers.opcua.server.session import Session
 from drivers.opcua.server.space import Variable
 from drivers.opcua.server.subscriptions import Item, Publisher, PublishRequest
 from drivers.opcua.server.wire import WireError, _decoded
@@ -287,6 +288,29 @@ async def test_who_asks_with_half_an_address_is_answered(tmp_path, keys):
     async with tag_server(tmp_path, keys) as bench, bench.logged_in("otto") as client:
         (first, *_) = await client.uaclient.get_endpoints(ua.GetEndpointsParameters(EndpointUrl="opc.tcp://[::1"))
         assert first.EndpointUrl == "opc.tcp://localhost/"
+
+
+async def test_requests_of_a_stranger_that_arrive_together_leave_the_control_its_turn(tmp_path, keys, monkeypatch):
+    answered, endpoints, most = [0], Session.endpoints, 0
+
+    def counted(*arguments):
+        answered[0] += 1
+        return endpoints(*arguments)
+
+    monkeypatch.setattr(Session, "endpoints", counted)
+    async with tag_server(tmp_path, keys) as bench, asyncio.timeout(60):
+        client = Client(bench.url)
+        await client.connect_socket()
+        await client.send_hello()
+        await client.open_secure_channel()
+        asking = [asyncio.ensure_future(client.uaclient.get_endpoints(ua.GetEndpointsParameters())) for _ in range(100)]
+        while answered[0] < len(asking):
+            before = answered[0]
+            await asyncio.sleep(0)
+            most = max(most, answered[0] - before)
+        assert most <= 2
+        await asyncio.gather(*asking)
+        client.disconnect_socket()
 
 
 async def test_a_client_that_takes_nothing_gets_the_newest_and_holds_up_nobody():

@@ -58,6 +58,7 @@ class TagServer:
         self.open: set[Conversation] = set()
         """Those with somebody logged in."""
         self._wake = asyncio.Event()
+        self.turn = asyncio.Lock()
 
     def wake(self) -> None:
         """Look at what is due: a subscription was made or changed."""
@@ -156,6 +157,8 @@ class Conversation:
                 raise WireError(StatusCodes.BadTimeout, "nothing was asked for too long") from None
             if message is None:
                 return
+            async with self._server.turn:  # one request in a turn of the loop, however many have arrived
+                await asyncio.sleep(0)
             await self._answer(message)
             await self._wire.drained()
 
