@@ -84,6 +84,7 @@ class BoundedConnections:
                     await asyncio.sleep(ACCEPT_RETRY_S)
                     continue
                 self._take(connection)
+                await asyncio.sleep(0)  # where others connect faster than this takes them, the loop has its turn
         finally:
             self._report.flush()
             for task in self._open:

@@ -111,6 +111,28 @@ async def most_in_a_turn(count: Callable[[], int], until: int) -> int:
     return most
 
 
+async def test_connections_that_wait_are_taken_one_in_a_turn_of_the_loop() -> None:
+    """While others connect faster than they are taken, the loop had no turn at all."""
+    taken = 0
+
+    async def serve(connection: socket.socket, conversation: connections.Conversation) -> None:
+        await asyncio.Event().wait()
+
+    class Counted(connections.BoundedConnections):
+        def _take(self, connection: socket.socket) -> None:
+            nonlocal taken
+            taken += 1
+            super()._take(connection)
+
+    with socket.create_server(("127.0.0.1", 0), backlog=128) as listener, contextlib.ExitStack() as stack:
+        for _ in range(60):
+            stack.enter_context(socket.create_connection(listener.getsockname()))
+        task = asyncio.ensure_future(Counted("test", serve).run(listener))
+        assert await most_in_a_turn(lambda: taken, 60) <= 2
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
 async def test_requests_that_arrive_together_on_the_control_socket_leave_the_control_its_turn(tmp_path: Path) -> None:
     path, asked = tmp_path / "s", 0
 
