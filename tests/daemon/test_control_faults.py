@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 import structlog
+from click.testing import CliRunner
 from control_rig import (
     BLOCK,
     ENABLE,
@@ -17,7 +18,9 @@ from control_rig import (
     running,
 )
 
+from daemon.cli import main
 from daemon.history import HistoryReader
+from daemon.monitor.control_socket import ControlSocket
 from daemon.state_store.documents import OutputFault
 from daemon.state_store.store import StateStore
 from drivers.contract import LinkError
@@ -472,3 +475,31 @@ async def test_the_numbers_of_faults_go_on_over_a_restart(bench):
     async with running(bench.rig()) as rig:
         await rig.turn()
         assert rig.control.journal.faults[0] == "two" and rig.snapshots.control.fault >= 2
+
+
+async def test_the_command_shows_the_fault_that_it_acknowledges_and_asks(rig, bench, tmp_path):
+    await rig.active()
+    bench.nc.macros.set(Z, 0.002)
+    await rig.turn()
+    assert rig.state == "FAULT"
+    path, desk = tmp_path / "s", rig.desk()
+    serving = asyncio.create_task(ControlSocket(path, None, desk.handle).run())
+    while not path.exists():
+        await asyncio.sleep(0.01)
+
+    async def told(*words, typed=""):
+        asked = asyncio.create_task(
+            asyncio.to_thread(CliRunner().invoke, main, ["acknowledge", "--socket", str(path), *words], input=typed)
+        )
+        while not asked.done():
+            await rig.turn()
+            await asyncio.sleep(0.02)
+        return asked.result()
+
+    refused = await told(typed="n\n")
+    assert refused.exit_code == 1 and f"#{Z} holds 0.002" in refused.output and "Acknowledge FAULT 1" in refused.output
+    assert (await told(typed="")).exit_code == 1 and rig.state == "FAULT", "nobody has said yes"
+    assert "the newest is FAULT 1, not 7" in (await told("7")).output and rig.state == "FAULT"
+    assert (await told(typed="y\n")).exit_code == 0 and rig.state != "FAULT"
+    serving.cancel()
+    await asyncio.gather(serving, return_exceptions=True)
