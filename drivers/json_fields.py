@@ -1,18 +1,14 @@
 """Numbers in the fields of a JSON object. No I/O."""
 
 import math
-import re
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Any
 
 from drivers.readings import NoReading
+from models.json_values import number_in
 from models.quality import Reason
 
 QUOTED = 40
-T = TypeVar("T")
-BLANK = " \t\r\n\0"
-"""Stands around a number that a device writes as text; some fill a field of fixed length with zeros."""
-_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
 def readings_in(content: Any, fields: Mapping[int | str, str]) -> dict[int | str, float | NoReading]:
@@ -30,19 +26,12 @@ def readings_in(content: Any, fields: Mapping[int | str, str]) -> dict[int | str
     return found
 
 
-def number_in(text: str, otherwise: T) -> float | T:
-    """Return the number that a whole text is, with a decimal point and without a unit; `otherwise` where it is none."""
-    text = text.strip(BLANK)
-    return float(text) if _NUMBER.fullmatch(text) else otherwise
-
-
 def number_of(value: Any, key: str = "field") -> float | NoReading:
     """Return a JSON value, or the text of a number, as a number; a truth value is none.
 
     `key` of the configuration says where it is.
     """
-    if isinstance(value, str):
-        value = number_in(value, value)
+    value = number_in(value)
     if isinstance(value, int | float) and not isinstance(value, bool):
         try:
             return float(value)

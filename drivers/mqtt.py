@@ -16,9 +16,10 @@ from config.schema.source_sections import MqttBroker, MqttTopic
 from config.secret_files import SecretError, read_secret
 from drivers.clock import Clock
 from drivers.contract import FatalDriverError, LinkError
-from drivers.json_fields import number_in, number_of, readings_in
+from drivers.json_fields import number_of, readings_in
 from drivers.pushing import MOST_WAITING, PushedSource
 from drivers.readings import NoReading
+from models.json_values import number_in
 from models.quality import Reason
 
 LARGEST_BYTES = 1 << 16
@@ -136,8 +137,8 @@ def numbers_in(payload: Any, fields: Mapping[int | str, str]) -> dict[int | str,
     try:
         value = json.loads(content)
     except (ValueError, RecursionError):
-        value = number_in(content.decode("latin-1"), None)
-        if value is None:
+        value = number_in(content.decode("latin-1"))
+        if not isinstance(value, float):
             return dict.fromkeys(fields, _unreadable(content))
     return readings_in(value, fields)
 

@@ -1,10 +1,13 @@
 """Values and text as they may be stored, sent, logged and shown: no NaN, no number of NumPy, no control characters."""
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Any, overload
 
 import numpy as np
+
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
 def finite_or_none(value: float | None, decimals: int | None = None) -> float | None:
@@ -49,3 +52,12 @@ def all_printable(value: Any, *, keep: str = "") -> Any:
     if isinstance(value, list | tuple):
         return [all_printable(item, keep=keep) for item in value]
     return value
+
+
+def number_in(value: Any) -> Any:
+    """Return the number that a text is, whole, with a decimal point and without a unit; anything else as it is.
+
+    Devices write blanks around it, and fill a field of fixed length with zeros.
+    """
+    text = value.strip(" \t\r\n\0") if isinstance(value, str) else ""
+    return float(text) if _NUMBER.fullmatch(text) else value

@@ -1,6 +1,5 @@
 """Proposes the map of a control's variables from what its OPC UA server shows, by names that they usually have."""
 
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,11 +9,11 @@ from asyncua import ua
 
 from config.schema.cnc_drivers import NEEDED_NODES, NO_NODE, SINUMERIK_NAMESPACE, OpcUaSecurityConfig
 from config.schema.guard import GuardConfig
-from drivers.json_fields import number_in
 from drivers.opcua.browsing import Browsed, Variable, browse, values_of
 from drivers.opcua.sinumerik import TEXTS, sinumerik_map
 from drivers.opcua.tags import TagSession
 from drivers.opcua.variables import FANUC_NODES
+from models.json_values import number_in
 
 READ_AT_ONCE = 25
 """Some variables hold whole tables or programs."""
@@ -138,12 +137,11 @@ def _bare(name: str) -> str:
 
 def _means_something(key: str, value: Any) -> bool:
     """Return whether a value, or none at the moment, can be what the key stands for."""
-    if not isinstance(value, str):
-        return value is None or isinstance(value, (bool, int, float))
     try:
-        return math.isfinite(TEXTS[key](value) if key in TEXTS else number_in(value, math.nan))
+        meaning = TEXTS[key](value) if isinstance(value, str) and key in TEXTS else number_in(value)
     except ValueError:
         return False
+    return meaning is None or isinstance(meaning, (bool, int, float))
 
 
 def _macro_patterns(variables: Sequence[Variable]) -> list[str]:

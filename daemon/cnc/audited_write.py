@@ -27,8 +27,7 @@ LOOK_LASTS_S = 0.02
 """What was looked at before the write was decided on counts for so long [s of the wall clock], and only if nothing
 else was asked of the control since."""
 LATE_LOOKS, LATE_LOOK_S = 20, 0.05
-"""A gateway acknowledges a value, and shows it when it has passed it on: it is looked for so often, so far apart [s of
-the wall clock]."""
+"""A gateway acknowledges a value before it shows it: so often it is looked for, so far apart [s of the wall clock]."""
 
 
 class ForeignValueError(NotSentError):

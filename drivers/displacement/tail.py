@@ -47,8 +47,7 @@ def line_ends(head: bytes) -> tuple[bytes, str | None]:
     """Return what ends a line of a file that begins so, and what that says of its encoding."""
     if encoding := MARKS.get(head[:2]):
         return "\n".encode(encoding), encoding
-    alone = b"\n" not in head and b"\r" in head[:-1]
-    return (b"\r" if alone else b"\n"), None
+    return (b"\r" if b"\n" not in head and b"\r" in head[:-1] else b"\n"), None
 
 
 class FileTail:

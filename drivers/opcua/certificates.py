@@ -8,7 +8,11 @@ import hashlib
 import stat
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
+from asyncua import ua
+from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
+from asyncua.ua.status_codes import StatusCodes
 from cryptography import x509
 from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
@@ -17,6 +21,22 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from config.files import read_whole
 from config.schema.cnc_drivers import OpcUaSecurityConfig
 from drivers.contract import FatalDriverError
+
+REFUSALS = {
+    StatusCodes.BadUserAccessDenied: "refuses the user name or password",
+    StatusCodes.BadIdentityTokenRejected: "refuses the user name or password",
+    StatusCodes.BadIdentityTokenInvalid: "refuses the user name or password",
+    StatusCodes.BadSecurityChecksFailed: "refuses the daemon's certificate; it must be trusted at the CNC",
+    StatusCodes.BadCertificateUntrusted: "does not trust the daemon's certificate; it must be trusted at the CNC",
+    StatusCodes.BadCertificateTimeInvalid: "says that the daemon's certificate has expired or is not yet valid",
+    StatusCodes.BadCertificateUriInvalid: "says that the certificate's application URI differs from the daemon's",
+    StatusCodes.BadCertificateUseNotAllowed: "says that the daemon's certificate is not meant for a client",
+    StatusCodes.BadCertificateInvalid: "says that the daemon's certificate is invalid",
+    StatusCodes.BadCertificateRevoked: "says that the daemon's certificate is revoked",
+    StatusCodes.BadSecurityPolicyRejected: "does not accept the security policy Basic256Sha256",
+    StatusCodes.BadSecurityModeRejected: "does not accept signed and encrypted messages",
+}
+"""What a server answers when trying again cannot help."""
 
 
 def load_certificate(path: Path) -> x509.Certificate:
@@ -84,6 +104,24 @@ class OpcUaCredentials:
     certificate: x509.Certificate
     private_key: rsa.RSAPrivateKey = field(repr=False)
     server_certificate: x509.Certificate
+
+    def secure(self, client: Any) -> None:
+        """Prepare the client (Any: the library declares its policy attribute as the policy None)."""
+        make_policy: Any = SecurityPolicyBasic256Sha256
+        client.application_uri = self.application_uri
+        client.security_policy = make_policy(
+            self.server_certificate, self.certificate, self.private_key, ua.MessageSecurityMode.SignAndEncrypt
+        )
+        client.uaclient.set_security(client.security_policy)
+
+    def check_shown(self, endpoint: str, chain: bytes | None) -> None:
+        """Raise FatalDriverError where a server shows another certificate than the trusted one."""
+        found, trusted = chain_thumbprint(chain or b""), thumbprint(self.server_certificate)
+        if found != trusted:
+            raise FatalDriverError(
+                f"{endpoint} shows another certificate than the one that is trusted "
+                f"(cnc.opcua.security.server_certificate): SHA-256 {found}, trusted {trusted}"
+            )
 
 
 def load_pair(certificate_path: Path, key_path: Path) -> tuple[x509.Certificate, rsa.RSAPrivateKey, str]:

@@ -8,27 +8,21 @@ library reports a frozen peer as connected.
 import asyncio
 import logging
 import math
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 from asyncua import ua
 from asyncua.client.client import Client
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256, SecurityPolicyNone
+from asyncua.ua import uaerrors
 from asyncua.ua.status_codes import StatusCodes
-from asyncua.ua.uaerrors import (
-    BadEncodingLimitsExceeded,
-    BadRequestTooLarge,
-    BadResponseTooLarge,
-    BadTooManyOperations,
-    UaError,
-    UaStatusCodeError,
-)
+from asyncua.ua.uaerrors import UaError, UaStatusCodeError
 from cryptography.exceptions import InvalidSignature
 
 from config.schema.cnc import CncConfig
-from config.schema.cnc_drivers import NO_NODE, OpcUaConfig
+from config.schema.cnc_drivers import NO_NODE, OpcUaConfig, OpcUaSecurityConfig
 from drivers.clock import Clock
 from drivers.contract import (
     Capability,
@@ -40,12 +34,13 @@ from drivers.contract import (
     refuse_forbidden,
 )
 from drivers.opcua.bounded import bounded_client
-from drivers.opcua.certificates import OpcUaCredentials, chain_thumbprint, load_credentials, thumbprint
 from drivers.opcua.log import limit_library_log
 from drivers.opcua.services import UNREADABLE, Answer, Services, encode_read
-from drivers.opcua.sinumerik import TEXTS, sinumerik_map
-from drivers.opcua.variables import FANUC_NODES, LIMITS, NodeMap, Variables, at_once
+from drivers.opcua.variables import FANUC_NODES, LIMITS, NodeMap, Reading, Variables, at_once
 from models.records import CncSample
+
+if TYPE_CHECKING:
+    from drivers.opcua.certificates import OpcUaCredentials
 
 T = TypeVar("T")
 log = logging.getLogger(__name__)
@@ -54,25 +49,12 @@ SESSION_TIMEOUT_MS = 60_000
 """A CNC keeps an abandoned session this long; few sessions are all that it offers."""
 RENEW_AT = 0.75
 """Share of the secure channel's lifetime after which it is renewed (OPC 10000-4, 5.5.2.1)."""
-TOO_MUCH = (BadTooManyOperations, BadRequestTooLarge, BadResponseTooLarge, BadEncodingLimitsExceeded)
+TOO_MUCH = tuple(
+    getattr(uaerrors, f"Bad{what}")
+    for what in ("TooManyOperations", "RequestTooLarge", "ResponseTooLarge", "EncodingLimitsExceeded")
+)
 """What a server says that answers fewer values in one request."""
 CONNECTING, RENEWING = "connecting", "renewing the secure channel"
-REFUSALS = {
-    StatusCodes.BadUserAccessDenied: "refuses the user name or password",
-    StatusCodes.BadIdentityTokenRejected: "refuses the user name or password",
-    StatusCodes.BadIdentityTokenInvalid: "refuses the user name or password",
-    StatusCodes.BadSecurityChecksFailed: "refuses the daemon's certificate; it must be trusted at the CNC",
-    StatusCodes.BadCertificateUntrusted: "does not trust the daemon's certificate; it must be trusted at the CNC",
-    StatusCodes.BadCertificateTimeInvalid: "says that the daemon's certificate has expired or is not yet valid",
-    StatusCodes.BadCertificateUriInvalid: "says that the certificate's application URI differs from the daemon's",
-    StatusCodes.BadCertificateUseNotAllowed: "says that the daemon's certificate is not meant for a client",
-    StatusCodes.BadCertificateInvalid: "says that the daemon's certificate is invalid",
-    StatusCodes.BadCertificateRevoked: "says that the daemon's certificate is revoked",
-    StatusCodes.BadSecurityPolicyRejected: "does not accept the security policy Basic256Sha256",
-    StatusCodes.BadSecurityModeRejected: "does not accept signed and encrypted messages",
-}
-"""What a server answers when trying again cannot help."""
-
 AWAY = frozenset(
     {
         StatusCodes.BadCommunicationError,
@@ -92,12 +74,20 @@ AWAY = frozenset(
 def node_map(config: CncConfig) -> NodeMap:
     """Return the preset's map with the identifiers that the configuration gives."""
     opcua = config.connection_as(OpcUaConfig)
-    found = NodeMap(nodes=FANUC_NODES if opcua.preset == "fanuc" else {}, texts=TEXTS)
+    found = NodeMap(nodes=FANUC_NODES if opcua.preset == "fanuc" else {}, texts=_usual_texts)
     if opcua.preset == "sinumerik":
+        from drivers.opcua.sinumerik import sinumerik_map
+
         found = sinumerik_map(config.guard.shown)
     given = {} if opcua.nodes is None else opcua.nodes.model_dump(exclude_none=True)
     nodes = {**found.nodes, **given}
     return replace(found, nodes={key: text for key, text in nodes.items() if text != NO_NODE})
+
+
+def _usual_texts() -> Mapping[str, Reading]:
+    from drivers.opcua.sinumerik import TEXTS
+
+    return TEXTS
 
 
 class OpcUaCnc:
@@ -123,8 +113,7 @@ class OpcUaCnc:
         """Connect, check that the server is the right one and offers the configured variables."""
         if self._client is not None or self._lost is not None:
             raise LinkError(f"{self._endpoint}: this connection was used up; build a new one")
-        security = self._opcua.security
-        credentials = load_credentials(security) if security else None
+        credentials = _credentials(self._opcua.security)
         try:
             await self._call(CONNECTING, self._connect(credentials))
         except BaseException as error:
@@ -181,7 +170,7 @@ class OpcUaCnc:
             abort(client)
         await asyncio.sleep(0)
 
-    async def _connect(self, credentials: OpcUaCredentials | None) -> None:
+    async def _connect(self, credentials: "OpcUaCredentials | None") -> None:
         mode, policy = _security_of(credentials)
         offered = await bounded_client(self._endpoint, self._config.timeout_s).connect_and_get_server_endpoints()
         self._check_offer(offered, mode, policy, credentials)
@@ -189,7 +178,7 @@ class OpcUaCnc:
         client.name, client.product_uri = "Toolpoint", "urn:toolpoint"
         client.session_timeout = SESSION_TIMEOUT_MS
         if credentials:
-            secure(client, credentials)
+            credentials.secure(client)
         await client.connect_socket()
         await client.send_hello()
         await client.open_secure_channel()
@@ -206,7 +195,7 @@ class OpcUaCnc:
         offered: Sequence[ua.EndpointDescription],
         mode: ua.MessageSecurityMode,
         policy: str,
-        credentials: OpcUaCredentials | None,
+        credentials: "OpcUaCredentials | None",
     ) -> None:
         matching = [e for e in offered if e.SecurityMode == mode and e.SecurityPolicyUri == policy]
         if not matching:
@@ -224,16 +213,7 @@ class OpcUaCnc:
                 else f"{self._endpoint} accepts no anonymous sessions; configure cnc.opcua.security"
             )
         if credentials:
-            self._check_certificate(matching[0].ServerCertificate, credentials)
-
-    def _check_certificate(self, chain: bytes | None, credentials: OpcUaCredentials) -> None:
-        found = chain_thumbprint(chain or b"")
-        trusted = thumbprint(credentials.server_certificate)
-        if found != trusted:
-            raise FatalDriverError(
-                f"{self._endpoint} shows another certificate than the one that is trusted "
-                f"(cnc.opcua.security.server_certificate): SHA-256 {found}, trusted {trusted}"
-            )
+            credentials.check_shown(self._endpoint, matching[0].ServerCertificate)
 
     async def _find_variables(self, client: Client, services: Services) -> Variables:
         uri = self._opcua.namespace
@@ -274,7 +254,7 @@ class OpcUaCnc:
         self, services: Services, variables: Variables, groups: Sequence[Sequence[tuple[int, float]]]
     ) -> None:
         every = [pair for group in groups for pair in group]
-        if unknown := variables.of_unknown_type(number for number, _ in every):
+        if unknown := variables.of_unknown_type(every):
             types = await self._read(services, variables, partial(variables.type_requests, unknown))
             variables.learn_types(unknown, types)
         variables.check_fit(every, self._config.macros.tolerance)
@@ -332,6 +312,8 @@ class OpcUaCnc:
         except InvalidSignature as error:
             raise FatalDriverError(f"{self._endpoint} signs with another key than its certificate's") from error
         except UaStatusCodeError as error:
+            from drivers.opcua.certificates import REFUSALS
+
             if what == CONNECTING and error.code in REFUSALS:
                 name = ua.StatusCode(error.code).name
                 raise FatalDriverError(f"{self._endpoint} {REFUSALS[error.code]} ({name})") from error
@@ -364,23 +346,18 @@ async def cancelled_plainly(call: Coroutine[Any, Any, T]) -> T:
         raise asyncio.CancelledError from cancelled
 
 
-def _security_of(credentials: OpcUaCredentials | None) -> tuple[ua.MessageSecurityMode, str]:
+def _credentials(security: OpcUaSecurityConfig | None) -> "OpcUaCredentials | None":
+    if security is None:
+        return None
+    from drivers.opcua.certificates import load_credentials
+
+    return load_credentials(security)
+
+
+def _security_of(credentials: "OpcUaCredentials | None") -> tuple[ua.MessageSecurityMode, str]:
     if credentials is None:
         return ua.MessageSecurityMode.None_, SecurityPolicyNone.URI
     return ua.MessageSecurityMode.SignAndEncrypt, SecurityPolicyBasic256Sha256.URI
-
-
-def secure(client: Any, credentials: OpcUaCredentials) -> None:
-    """Prepare the client (Any: the library declares its policy attribute as the policy None)."""
-    make_policy: Any = SecurityPolicyBasic256Sha256
-    client.application_uri = credentials.application_uri
-    client.security_policy = make_policy(
-        credentials.server_certificate,
-        credentials.certificate,
-        credentials.private_key,
-        ua.MessageSecurityMode.SignAndEncrypt,
-    )
-    client.uaclient.set_security(client.security_policy)
 
 
 def abort(client: Client) -> None:

@@ -7,6 +7,8 @@ of one whole chunk are framed by `drivers.opcua.channel`.
 """
 
 import asyncio
+import contextlib
+import math
 import struct
 import time
 from collections.abc import Sequence
@@ -91,15 +93,11 @@ def encode_write(values: Sequence[tuple[bytes, bytes]]) -> bytes:
 
 
 def encode_number(value: float, kind: int = DOUBLE) -> tuple[bytes, float]:
-    """Return a number as a value of a built-in type, and what that holds of it; raises ValueError where it cannot."""
-    number = NUMBERS.get(kind)
-    if number is None:
-        raise ValueError(f"{kind} is no type of a number")
-    try:
-        content = number.pack(value if kind in (FLOAT, DOUBLE) else round(value))
-    except (struct.error, OverflowError) as error:
-        raise ValueError(f"{value!r} is out of range") from error
-    return bytes((kind,)) + content, float(number.unpack(content)[0])
+    """Return a number as a value of a built-in type, and what that holds of it: NaN where it cannot."""
+    number, content = NUMBERS.get(kind), b""
+    with contextlib.suppress(struct.error, OverflowError):
+        content = number.pack(value if kind in (FLOAT, DOUBLE) else round(value)) if number else b""
+    return bytes((kind,)) + content, float(number.unpack(content)[0]) if number and content else math.nan
 
 
 def decode_read(body: bytes) -> list[Answer]:

@@ -50,7 +50,7 @@ def sinumerik_map(shown: int) -> NodeMap:
         modes=MODES,
         runs=RUNS,
         vacant=VACANT_R,
-        texts={"program": program_number, "sequence_number": block_number, "work_offset": offset_number},
+        texts=lambda: {"program": program_number, "sequence_number": block_number, "work_offset": offset_number},
     )
 
 

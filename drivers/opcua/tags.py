@@ -19,7 +19,7 @@ from drivers.contract import FatalDriverError, LinkError
 from drivers.json_fields import number_of
 from drivers.opcua.bounded import bounded_client
 from drivers.opcua.certificates import load_credentials
-from drivers.opcua.cnc import TOO_MUCH, abort, cancelled_plainly, secure
+from drivers.opcua.cnc import TOO_MUCH, abort, cancelled_plainly
 from drivers.opcua.log import limit_library_log
 from drivers.opcua.services import UNREADABLE
 from drivers.polling import PolledSource
@@ -70,7 +70,7 @@ class TagSession:
         client = self._client = bounded_client(self._place.endpoint, self._place.timeout_s)
         client.name, client.product_uri = "Toolpoint", "urn:toolpoint"
         if credentials:
-            secure(client, credentials)
+            credentials.secure(client)
             client.set_user(credentials.user_name)
             client.set_password(credentials.password)
         await self.call("connecting", client.connect())

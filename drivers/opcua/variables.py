@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from asyncua import ua
 from asyncua.ua.attribute_ids import AttributeIds
@@ -12,8 +11,8 @@ from asyncua.ua.uaerrors import UaError
 
 from config.schema.cnc import AxisPositionConfig
 from drivers.contract import MODES, RUNS, Capability, FatalDriverError, LinkError, NotSentError, position_mm
-from drivers.json_fields import number_in
 from drivers.opcua.services import DOUBLE, STRING, Answer, encode_number, encode_read, encode_target, encode_write
+from models.json_values import number_in
 from models.records import CncMode, CncRun, CncSample, Instant
 
 STATE_NODES = (
@@ -78,7 +77,7 @@ class NodeMap:
     runs: Mapping[int, CncRun] = field(default_factory=lambda: RUNS)
     vacant: float | None = None
     """Value of a macro variable that is vacant, where the control always gives one."""
-    texts: Mapping[str, Reading] = field(default_factory=dict)
+    texts: Callable[[], Mapping[str, Reading]] = dict
     """Number of a variable that is a text; raises ValueError for a text that means nothing."""
 
 
@@ -130,8 +129,7 @@ class Variables:
         if key not in self._reads:
             nodes = [*self._state, *self._positions] if state else []
             nodes += [self._macro_node_id(number) for number in macros]
-            parts = range(0, len(nodes), self._most)
-            self._reads[key] = tuple(encode_read(nodes[first : first + self._most]) for first in parts)
+            self._reads[key] = tuple(self._split(nodes))
         return self._reads[key]
 
     def ask_less(self) -> bool:
@@ -140,22 +138,22 @@ class Variables:
         before, self._most = self._most, (self._most + 1) // 2
         return self._most < before
 
-    def of_unknown_type(self, macros: Iterable[int]) -> list[int]:
+    def of_unknown_type(self, macros: Iterable[tuple[int, float]]) -> list[int]:
         """Return those macro variables of which it is not known what they take."""
-        return [number for number in dict.fromkeys(macros) if number not in self._targets]
+        return [number for number, _ in macros if number not in self._targets]
 
     def type_requests(self, macros: Sequence[int]) -> list[bytes]:
         """Return the parameters that read the types of macro variables, by request."""
-        nodes = [self._macro_node_id(number) for number in macros]
+        return self._split([self._macro_node_id(number) for number in macros], AttributeIds.DataType)
+
+    def _split(self, nodes: Sequence[ua.NodeId], attribute: AttributeIds = AttributeIds.Value) -> list[bytes]:
         parts = range(0, len(nodes), self._most)
-        return [encode_read(nodes[first : first + self._most], AttributeIds.DataType) for first in parts]
+        return [encode_read(nodes[first : first + self._most], attribute) for first in parts]
 
     def learn_types(self, macros: Sequence[int], answers: Sequence[Answer]) -> None:
         """Take what a server says of types; a variable that tells no built-in one takes a Double."""
-        if len(answers) != len(macros):
-            raise LinkError(f"the CNC answered {len(answers)} types to a request for {len(macros)} macro variables")
-        for number, answer in zip(macros, answers, strict=True):
-            told = answer.value
+        _require_all(answers, macros)
+        for number, told in zip(macros, (each.value for each in answers), strict=True):
             built_in = isinstance(told, ua.NodeId) and told.NamespaceIndex == 0 and told.Identifier in BUILT_IN
             self._targets[number] = encode_target(self._macro_node_id(number)), told.Identifier if built_in else DOUBLE
 
@@ -163,11 +161,7 @@ class Variables:
         """Raise NotSentError for a value that a macro variable of its type cannot hold."""
         for number, value in macros:
             kind = self._targets[number][1]
-            try:
-                fits = abs(encode_number(value, kind)[1] - value) <= tolerance
-            except ValueError:
-                fits = False
-            if not fits:
+            if not abs(encode_number(value, kind)[1] - value) <= tolerance:
                 raise NotSentError(
                     f"macro variable #{number} cannot hold {value!r}: in the server it is of type "
                     f"{ua.VariantType(kind).name}; name one of type Double (cnc.macros, cnc.opcua.nodes.macro); "
@@ -210,8 +204,7 @@ class Variables:
 
     def macro_values(self, macros: Sequence[int], answers: Sequence[Answer]) -> dict[int, float | None]:
         """Return macro variables by number, None where vacant."""
-        if len(answers) != len(macros):
-            raise LinkError(f"the CNC answered {len(answers)} values to a request for {len(macros)} macro variables")
+        _require_all(answers, macros)
         return {number: self._macro_value(number, answer) for number, answer in zip(macros, answers, strict=True)}
 
     def _macro_value(self, number: int, answer: Answer) -> float | None:
@@ -237,8 +230,8 @@ class Variables:
         return value
 
     def _meaning(self, key: str, name: str, answer: Answer) -> float:
-        read = self._map.texts.get(key)
-        if read is None or not isinstance(answer.value, str):
+        read = self._map.texts().get(key) if isinstance(answer.value, str) else None
+        if read is None:
             return _number(name, answer)
         try:
             return read(answer.value)
@@ -259,6 +252,11 @@ class Variables:
             ) from error
 
 
+def _require_all(answers: Sequence[Answer], macros: Sequence[int]) -> None:
+    if len(answers) != len(macros):
+        raise LinkError(f"the CNC answered {len(answers)} values to a request for {len(macros)} macro variables")
+
+
 def _whole(key: str, value: float) -> int:
     """Return a number of the state, which has no fraction; G54.1, an additional offset, as 54100, for it is not G54."""
     if value.is_integer():
@@ -269,9 +267,7 @@ def _whole(key: str, value: float) -> int:
 
 
 def _number(name: str, answer: Answer) -> float:
-    value: Any = answer.value
-    if isinstance(value, str):
-        value = number_in(value, value)
+    value = number_in(answer.value)
     if value is None:
         return math.nan
     if not isinstance(value, (bool, int, float)):
