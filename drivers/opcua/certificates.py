@@ -140,6 +140,10 @@ def load_pair(certificate_path: Path, key_path: Path) -> tuple[x509.Certificate,
     return certificate, key, uri
 
 
+Credentials = OpcUaCredentials | None
+"""None: an insecure, anonymous connection."""
+
+
 def load_credentials(config: OpcUaSecurityConfig) -> OpcUaCredentials:
     """Read all files of the security section; raises FatalDriverError that names the file and what to do."""
     certificate, private_key, uri = load_pair(config.certificate, config.private_key)

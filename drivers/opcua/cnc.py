@@ -22,7 +22,7 @@ from asyncua.ua.uaerrors import UaError, UaStatusCodeError
 from cryptography.exceptions import InvalidSignature
 
 from config.schema.cnc import CncConfig
-from config.schema.cnc_drivers import NO_NODE, OpcUaConfig, OpcUaSecurityConfig
+from config.schema.cnc_drivers import NO_NODE, OpcUaConfig
 from drivers.clock import Clock
 from drivers.contract import (
     Capability,
@@ -40,7 +40,7 @@ from drivers.opcua.variables import FANUC_NODES, LIMITS, NodeMap, Reading, Varia
 from models.records import CncSample
 
 if TYPE_CHECKING:
-    from drivers.opcua.certificates import OpcUaCredentials
+    from drivers.opcua.certificates import Credentials
 
 T = TypeVar("T")
 log = logging.getLogger(__name__)
@@ -113,7 +113,11 @@ class OpcUaCnc:
         """Connect, check that the server is the right one and offers the configured variables."""
         if self._client is not None or self._lost is not None:
             raise LinkError(f"{self._endpoint}: this connection was used up; build a new one")
-        credentials = _credentials(self._opcua.security)
+        credentials: Credentials = None
+        if security := self._opcua.security:
+            from drivers.opcua.certificates import load_credentials
+
+            credentials = load_credentials(security)
         try:
             await self._call(CONNECTING, self._connect(credentials))
         except BaseException as error:
@@ -170,8 +174,10 @@ class OpcUaCnc:
             abort(client)
         await asyncio.sleep(0)
 
-    async def _connect(self, credentials: "OpcUaCredentials | None") -> None:
-        mode, policy = _security_of(credentials)
+    async def _connect(self, credentials: "Credentials") -> None:
+        mode, policy = ua.MessageSecurityMode.None_, SecurityPolicyNone.URI
+        if credentials is not None:
+            mode, policy = ua.MessageSecurityMode.SignAndEncrypt, SecurityPolicyBasic256Sha256.URI
         offered = await bounded_client(self._endpoint, self._config.timeout_s).connect_and_get_server_endpoints()
         self._check_offer(offered, mode, policy, credentials)
         client = self._client = bounded_client(self._endpoint, self._config.timeout_s)
@@ -195,7 +201,7 @@ class OpcUaCnc:
         offered: Sequence[ua.EndpointDescription],
         mode: ua.MessageSecurityMode,
         policy: str,
-        credentials: "OpcUaCredentials | None",
+        credentials: "Credentials",
     ) -> None:
         matching = [e for e in offered if e.SecurityMode == mode and e.SecurityPolicyUri == policy]
         if not matching:
@@ -344,20 +350,6 @@ async def cancelled_plainly(call: Coroutine[Any, Any, T]) -> T:
         return await call
     except asyncio.CancelledError as cancelled:
         raise asyncio.CancelledError from cancelled
-
-
-def _credentials(security: OpcUaSecurityConfig | None) -> "OpcUaCredentials | None":
-    if security is None:
-        return None
-    from drivers.opcua.certificates import load_credentials
-
-    return load_credentials(security)
-
-
-def _security_of(credentials: "OpcUaCredentials | None") -> tuple[ua.MessageSecurityMode, str]:
-    if credentials is None:
-        return ua.MessageSecurityMode.None_, SecurityPolicyNone.URI
-    return ua.MessageSecurityMode.SignAndEncrypt, SecurityPolicyBasic256Sha256.URI
 
 
 def abort(client: Client) -> None:
