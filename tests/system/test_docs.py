@@ -113,11 +113,20 @@ def test_links_lead_somewhere(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_files_and_tests_that_are_named_exist(path: Path) -> None:
+    text = path.read_text("utf-8")
+    named = re.findall(r"`((?:models|config|drivers|daemon|systemd|docs)/[\w./-]+\.\w+)`", text)
+    for file, test in [*re.findall(r"\b(tests/[\w/]+\.py)(?:::(\w+))?", text), *((file, "") for file in named)]:
+        assert (ROOT / file).is_file(), file
+        assert not test or f"def {test}(" in (ROOT / file).read_text("utf-8"), f"{file}::{test}"
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
 def test_commands_shown_exist(path: Path) -> None:
     known = {" ".join(words): command for words, command in commands(main)}
-    shown = re.findall(
-        r"^    (?:sudo (?:-u \w+ )?)?(?:\S*/)?toolpoint ([a-z].*)$", path.read_text("utf-8"), re.MULTILINE
-    )
+    text = path.read_text("utf-8")
+    shown = re.findall(r"^    (?:sudo (?:-u \w+ )?)?(?:\S*/)?toolpoint ([a-z].*)$", text, re.MULTILINE)
+    shown += [line for line in re.findall(r"`toolpoint ([a-z][^`]*)`", text) if " ... " not in line]
     for line in shown:
         words = line.split("  #")[0].split()
         name = " ".join(words[:2]) if " ".join(words[:2]) in known else words[0]
