@@ -44,6 +44,23 @@ def test_every_configuration_key_is_in_the_reference() -> None:
         assert f"| `{knob.name}` |" in table, ".".join(path)
 
 
+NO_KEYS = re.compile(
+    r".*\.(?:der|yaml|py)$|history\.sqlite|output\.fault$|compensation\.z\.|spindle_speed\.target_rpm$"
+)
+"""Files, tags and keys of the status whose names begin as sections of the configuration do."""
+
+
+def test_configuration_keys_that_are_named_exist() -> None:
+    keys = [[part for part in path if part != "[]" and part[0] != "<"] for path, _ in walk(Configuration)]
+    known = {".".join(key[at:]) for key in keys for at in range(len(key))}
+    sections = "|".join([*Configuration.model_fields, "output", "reference", "cleansing", "guard", "macros"])
+    for path in PAGES:
+        if path.name in {"CHANGELOG.md", "upgrade.md"}:  # old names beside the new ones
+            continue
+        for name in re.findall(rf"`((?:{sections})(?:\.[a-z_0-9]+)+)(?![.\w-])", path.read_text("utf-8")):
+            assert name in known or NO_KEYS.match(name), f"{path.name}: {name}"
+
+
 @pytest.mark.parametrize("guide", ["send-history-to-a-plant", "publish-over-mqtt", "send-alarms", "run-a-plant"])
 def test_what_the_guides_of_the_plant_configure_is_taken(guide: str) -> None:
     blocks = re.findall(r"```yaml\n(.*?)```", page(f"how-to/{guide}.md"), re.DOTALL)
