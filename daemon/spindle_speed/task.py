@@ -205,7 +205,11 @@ class Follower:
         state, taken_rpm, before = self._operation_state, None, self._turning.alarm
         if operation is not None and state is not None and not (self._inhibited or self._withheld):
             taken_rpm = self._taken_rpm(state, operation)
-        self._turning.update(taken_rpm, sample, phase)
+        planned, stable_rpm = self.worker.latest, (0.0, math.inf)
+        if planned is not None and planned.plan is not None and operation is not None:
+            choice = planned.plan.choice
+            stable_rpm = choice.pocket_rpm if choice.stable and planned.called == operation.called else stable_rpm
+        self._turning.update(taken_rpm, sample, phase, stable_rpm)
         if self._turning.alarm and not before:
             self._journal.say("alarm", f"spindle speed: {self._turning.alarm}")
         elif before and self._turning.cuts and not self._turning.alarm:

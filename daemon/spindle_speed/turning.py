@@ -22,10 +22,17 @@ class TurningSpeed:
         self.alarm = ""
         """Why what is known of the speed that was taken does not hold for the cut, '' when it does."""
 
-    def update(self, taken_rpm: float | None, sample: CncSample, phase: Phase) -> None:
+    def update(
+        self,
+        taken_rpm: float | None,
+        sample: CncSample,
+        phase: Phase,
+        stable_rpm: tuple[float, float] = (0.0, math.inf),
+    ) -> None:
         """Take a poll; `taken_rpm`: what the NC has taken for the operation under way [1/min], None where nothing.
 
-        The alarm lasts until the spindle cuts at the speed that was taken, or another one is taken.
+        The alarm lasts until the spindle cuts at the speed that was taken, or another one is taken. `stable_rpm`: the
+        pocket that the dynamics of now ask for.
         """
         if taken_rpm != self._taken_rpm:
             self._taken_rpm, self._off_since_s, self.alarm = taken_rpm, math.nan, ""
@@ -34,7 +41,7 @@ class TurningSpeed:
         if taken_rpm is None or not self.cuts or math.isnan(actual_rpm):
             return
         if abs(actual_rpm - taken_rpm) <= self._tuning.tolerance_rpm(taken_rpm):
-            self._off_since_s, self.alarm = math.nan, ""
+            self._off_since_s, self.alarm = math.nan, self._outgrown(taken_rpm, *stable_rpm)
             return
         self.cuts = False
         if actual_rpm <= STANDS_RPM:
@@ -46,3 +53,13 @@ class TurningSpeed:
                 f"the spindle turns at {actual_rpm:.0f} 1/min and the NC has taken {taken_rpm:.0f}: at that speed "
                 "nothing is known of this cut; set the override to 100 %, or see which S the program gives"
             )
+
+    def _outgrown(self, taken_rpm: float, low_rpm: float, high_rpm: float) -> str:
+        """Return why the speed that was taken is not one to cut at now, '' where it is: nothing changes in a cut."""
+        if low_rpm - self._tuning.hysteresis_rpm <= taken_rpm <= high_rpm + self._tuning.hysteresis_rpm:
+            return ""
+        return (
+            f"the spindle cuts at {taken_rpm:.0f} 1/min, and the stable speeds nearest to the programmed one lie "
+            f"between {low_rpm:.0f} and {high_rpm:.0f}: call the speed program twice before each pass, some seconds "
+            "apart, or make passes shorter"
+        )

@@ -66,3 +66,20 @@ async def test_no_second_step_before_a_cut_at_the_speed_of_the_first(
     await bench.pass_by(90.0, CUT)
     await bench.pass_by(30.0, SAFE)
     assert (bench.call()[0] != first_rpm) is steps
+
+
+async def test_a_cut_at_a_speed_that_the_warming_spindle_has_outgrown_is_told(bench: SpeedRig) -> None:
+    """One call before each pass: it takes what was decided before the pass before, and nothing changes within a cut."""
+    taken_rpm = (await bench.operation())[0]
+    await bench.pass_by(10.0, CUT)
+    assert bench.picture()["alarm"] == ""
+    bench.degc = WARM
+    await bench.pass_by(90.0, CUT)
+    assert bench.call()[0] == taken_rpm
+    await bench.pass_by(10.0, CUT)
+    assert f"the spindle cuts at {taken_rpm:.0f} 1/min" in bench.picture()["alarm"]
+    for _ in range(3):
+        await bench.pass_by(25.0, SAFE)
+        bench.call()
+        await bench.pass_by(3.0, CUT)
+    assert bench.picture()["alarm"] == ""
