@@ -14,6 +14,8 @@ from models.control.state import OperatorRequest
 
 DECISION_S = 3.0
 """A request is answered after this long at the latest [s]; the control task decides with its next tick."""
+MOST_AXES = 500
+"""Their names take no more room in a request: a refusal is kept, shown and told to everybody [characters]."""
 KEYS = {"acknowledge": {"fault"}, "enable": {"axes", "spindle_speed"}, "disable": {"axes", "zero", "spindle_speed"}}
 """What a command takes beside its name; the others take nothing."""
 
@@ -113,7 +115,7 @@ class CommandDesk:
         axes = request.get("axes")
         if axes is None:
             return self._modelled if request["command"] == "enable" else self._axes
-        if not isinstance(axes, list) or not all(isinstance(axis, str) for axis in axes):
+        if not isinstance(axes, list) or not all(isinstance(axis, str) for axis in axes) or len(str(axes)) > MOST_AXES:
             raise RequestError("axes must be a list of axis names")
         if not axes:
             raise RequestError("axes is an empty list; name axes, or leave it out to mean all of them")

@@ -22,6 +22,7 @@ log = structlog.get_logger(__name__)
 
 LONGEST_REQUEST = 65536
 """A longer line than this is refused [byte]."""
+LONGEST_REFUSAL = 2000
 REQUEST_S = 10.0
 """A request that has begun must end within this, and its answer must be taken within this [s]."""
 WAITING_CONNECTIONS = 64
@@ -151,8 +152,9 @@ class ControlSocket:
                 raise RequestError("a request is one JSON object")
             return {"ok": True, **await self._handle(request, person)}
         except RequestError as error:
-            self._refused((person, str(error)))
-            return {"ok": False, "error": str(error)}
+            why = str(error)[:LONGEST_REFUSAL]
+            self._refused((person, why))
+            return {"ok": False, "error": why}
 
 
 async def _rest_of_line(reader: asyncio.StreamReader) -> bytes:

@@ -5,6 +5,7 @@ import os
 import stat
 
 import pytest
+import structlog
 
 from daemon.monitor.control_client import ControlClient, DaemonUnreachableError
 from daemon.monitor.control_socket import LONGEST_REQUEST, ControlSocket, RequestError
@@ -63,6 +64,22 @@ async def test_refusals_and_garbage_are_answered_in_words(tmp_path):
     assert b"not JSON" in first
     assert b"one JSON object" in second
     assert b"not JSON" in deep and b"not JSON" in number
+
+
+async def test_a_refusal_repeats_no_more_of_a_long_request_than_a_person_reads(tmp_path):
+    async def handle(request, person):
+        raise RequestError(f"there is no command {request['command']!r}")
+
+    def work():
+        client = ControlClient(tmp_path / "s")
+        with pytest.raises(RequestError, match="there is no command 'x") as refused:
+            client.ask("x" * 60_000)
+        client.close()
+        return len(str(refused.value))
+
+    with structlog.testing.capture_logs() as logs:
+        assert await serve(tmp_path / "s", handle, work) <= 2000
+    assert len(str(logs)) < 5000
 
 
 @pytest.mark.parametrize("beyond", [1, 100_000, 1_000_000])

@@ -126,6 +126,7 @@ async def test_commands_are_taken_or_refused_in_words(board):
         ({}, "no command"),
         ({"command": "enable", "axes": "z"}, "list of axis names"),
         ({"command": "enable", "axes": [1]}, "list of axis names"),
+        ({"command": "enable", "axes": ["w" * 60_000]}, "list of axis names"),
         ({"command": "enable", "axes": ["w"]}, "no axis w"),
         ({"command": "enable", "axes": []}, "empty list"),
         ({"command": "enable", "zero": True}, "does not know zero; it takes axes"),
