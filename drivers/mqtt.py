@@ -4,6 +4,7 @@ import contextlib
 import json
 import logging
 import math
+import secrets
 import ssl
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -54,6 +55,7 @@ class MqttSource(PushedSource):
         connection = aiomqtt.Client(
             config.host,
             config.port,
+            identifier=new_identifier(),
             username=config.user_name,
             password=self._password(),
             tls_context=self._tls(),
@@ -127,6 +129,11 @@ class MqttSource(PushedSource):
             f"broker {self._config.host}:{self._config.port} has passed on no message for three cycle periods "
             f"({self._source.cycle_period_s:g} s each){retained}: check that the devices publish, and `topic`"
         )
+
+
+def new_identifier() -> str:
+    """Return a name for one connection, as long as every broker takes: not every one gives one to who has none."""
+    return f"toolpoint{secrets.token_hex(7)}"
 
 
 def numbers_in(payload: Any, fields: Mapping[int | str, str]) -> dict[int | str, float | NoReading]:

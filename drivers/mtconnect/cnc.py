@@ -48,7 +48,8 @@ async def fetch(host: str, port: int, target: str) -> tuple[int, bytes]:
     try:
         connection = h11.Connection(h11.CLIENT, max_incomplete_event_size=LONGEST_HEAD)
         name = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-        headers = [("Host", name), ("Accept", "application/xml, text/xml"), ("Connection", "close")]
+        headers = [("Host", name), ("Accept", "application/xml, text/xml"), ("Accept-Encoding", "identity")]
+        headers.append(("Connection", "close"))
         request = connection.send(h11.Request(method="GET", target=target, headers=headers))
         writer.write((request or b"") + (connection.send(h11.EndOfMessage()) or b""))
         return await _body(reader, connection)

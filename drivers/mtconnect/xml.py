@@ -68,6 +68,7 @@ class _Builder:
 
 async def parsed(content: bytes) -> Element:
     """Return the document's element, piece by piece between other work; raises XmlError."""
+    content = content.lstrip(b" \t\r\n")  # some write an empty line first
     if len(content) > LONGEST_DOCUMENT:
         raise XmlError(f"it is longer than {LONGEST_DOCUMENT} byte")
     builder = _Builder()

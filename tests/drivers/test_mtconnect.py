@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import gzip
 import math
 import re
 
@@ -15,7 +16,7 @@ from scripted_machine import ScriptedNc, cnc_config
 from daemon.cnc.interlocks import Interlocks
 from drivers.clock import SystemClock
 from drivers.contract import Capability, LinkError, NotSentError
-from drivers.mtconnect.cnc import MtconnectCnc
+from drivers.mtconnect.cnc import MtconnectCnc, fetch
 from drivers.mtconnect.device import MOST_FAULTS, DataItem, Device
 from drivers.mtconnect.xml import DEEPEST, LONGEST_DOCUMENT, XmlError, parsed
 from drivers.sim.wires.mtconnect_agent import BUFFER, SimulatedMtconnectAgent
@@ -112,6 +113,27 @@ async def test_what_is_no_agent_is_named_with_its_status():
     cnc = AgentBench().open_at(server.sockets[0].getsockname()[1])
     with pytest.raises(LinkError, match="HTTP status 401 and no document of an agent"):
         await cnc.connect()
+    await cnc.close()
+    server.close()
+
+
+@pytest.mark.wires
+async def test_an_agent_behind_a_server_that_compresses_and_begins_with_an_empty_line_is_read(bench):
+    """Who does not say otherwise takes every coding (RFC 9110, 12.5.3)."""
+
+    async def proxy(reader, writer):
+        request = await reader.readuntil(b"\r\n\r\n")
+        status, body = await fetch("127.0.0.1", bench.port, request.split()[1].decode())
+        body, coding = b"\r\n" + body, b""
+        if b"identity" not in request:
+            body, coding = gzip.compress(body), b"Content-Encoding: gzip\r\n"
+        writer.write(b"HTTP/1.1 %d OK\r\n%bContent-Length: %d\r\n\r\n" % (status, coding, len(body)) + body)
+        writer.close()
+
+    server = await asyncio.start_server(proxy, "127.0.0.1", 0)
+    cnc = bench.open_at(server.sockets[0].getsockname()[1])
+    await cnc.connect()
+    assert (await cnc.read([])).program == 1000
     await cnc.close()
     server.close()
 

@@ -430,6 +430,22 @@ def subscribed(port: int, folder: Path, password: str) -> MqttSource:
     return MqttSource(source("mqtt", section, {**SENSOR, "topic": "m/7"}, period_s=0.05), SystemClock())
 
 
+@pytest.mark.wires
+async def test_a_broker_that_gives_nobody_a_name_is_told_one(tmp_path: Path) -> None:
+    tmp_path.chmod(0o755)
+    with mosquitto(tmp_path, "allow_anonymous true", "allow_zero_length_clientid false") as port:
+        section = {"host": "127.0.0.1", "port": port}
+        opened = MqttSource(source("mqtt", section, {**SENSOR, "topic": "m/7"}, period_s=5.0), SystemClock())
+        cycles = opened.cycles()
+        following = asyncio.ensure_future(anext(cycles))
+        async with aiomqtt.Client("127.0.0.1", port, identifier="device") as device:
+            while not following.done():
+                await device.publish("m/7", "21.5")
+                await asyncio.sleep(0.1)
+        assert (await following).degc.tolist() == [21.5]
+        await cycles.aclose()
+
+
 CONNACK, SUBACK = b"\x20\x02\x00\x00", b"\x90%c\x00\x01"
 
 

@@ -149,11 +149,11 @@ def _broker(host: str, port: int, topic: str, seconds: float) -> None:
 async def _mqtt(host: str, port: int, topic: str, seconds: float) -> Found:
     import aiomqtt
 
-    from drivers.mqtt import fields_of
+    from drivers.mqtt import fields_of, new_identifier
 
     found: dict[tuple[str, str], float] = {}
     try:
-        async with aiomqtt.Client(host, port, timeout=seconds) as client:
+        async with aiomqtt.Client(host, port, identifier=new_identifier(), timeout=seconds) as client:
             await client.subscribe(topic)
             async with asyncio.timeout(seconds):
                 async for message in client.messages:
