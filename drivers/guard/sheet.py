@@ -226,6 +226,11 @@ def _checks(configuration: Configuration) -> Section:
         ("#3001 counts milliseconds since power-on", "MDI: #500=#3001 twice, 10 s apart [control]"),
         ("no program of this machine writes #3001", "search the program memory for #3001="),
         ("the server's clock is #3001 in seconds", "compare the clock in `toolpoint status` with #3001/1000"),
+        (
+            "a program restart runs no macro of the blocks before its target",
+            f"restart behind G65P{guard.program}: #{macros.echo_time} as before; else go on by sequence number search, "
+            "or position the work anew [control]",
+        ),
         ("offset changes by G10 are not locked", "data protection key, parameter 3290 [control]"),
         ("programs from O9000 are locked after loading", "parameter 3202 bit 4 (NE9) [control]"),
     ]  # fmt: skip
@@ -269,6 +274,11 @@ def _checks_of_sinumerik(configuration: Configuration) -> list[tuple[str, str]]:
         ("the server's clock is the timer", f"compare the clock in `toolpoint status` with R{guard.shown}"),
         ("metric, G71 or G710, and G40", "$P_GG[13] is 2 or 4 where the guard is called"),
         ("STOPRE ends the reading ahead", "the last test but one below [control]"),
+        (
+            "a block search and a program test run through the programs and do nothing",
+            f"search with calculation to a block behind TP{GuardPrograms.of(macros, guard).guard}: "
+            f"R{macros.echo_time} as before [control]",
+        ),
         ("the cycles are locked after loading", "protection level of the folder of the user's cycles [control]"),
     ]
 
