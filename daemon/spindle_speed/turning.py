@@ -56,7 +56,8 @@ class TurningSpeed:
 
     def _outgrown(self, taken_rpm: float, low_rpm: float, high_rpm: float) -> str:
         """Return why the speed that was taken is not one to cut at now, '' where it is: nothing changes in a cut."""
-        if low_rpm - self._tuning.hysteresis_rpm <= taken_rpm <= high_rpm + self._tuning.hysteresis_rpm:
+        verified_rpm = self._tuning.tolerance_rpm(taken_rpm)
+        if low_rpm - verified_rpm <= taken_rpm <= high_rpm + verified_rpm:
             return ""
         return (
             f"the spindle cuts at {taken_rpm:.0f} 1/min, and the stable speeds nearest to the programmed one lie "
