@@ -389,6 +389,28 @@ def test_a_broker_that_breaks_its_protocol_ends_no_thread(
     assert ended == []
 
 
+@pytest.mark.parametrize("silent", [True, False])
+def test_a_broker_that_does_not_know_mqtt_5_is_told_from_a_bad_network(silent: bool) -> None:
+    """Some answer nothing to a version that they do not know, some end the connection."""
+
+    def serve(listening: socket.socket) -> None:
+        connection, _ = listening.accept()
+        connection.recv(4096)
+        if silent:
+            connection.recv(4096)
+        connection.close()
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        thread = threading.Thread(target=serve, args=(listening,))
+        thread.start()
+        config = BrokerConfig(host="127.0.0.1", port=listening.getsockname()[1], tls=False, timeout_s=2.0)
+        broker = Broker(config, "sink x", "someone")
+        with pytest.raises(SinkError, match=r"it (speaks|does not speak) MQTT 5, for Sparkplug at least 3\.1\.1"):
+            broker.connect(Message(topic="state", payload=b"away"))
+        broker.close()
+        thread.join()
+
+
 def test_a_broker_that_ends_connections_in_the_middle_has_every_row(tmp_path: Path) -> None:
     store, stop = tmp_path / "h.sqlite", threading.Event()
     fill(store, hours=3.0)
