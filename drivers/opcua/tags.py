@@ -156,10 +156,10 @@ class OpcUaTagSource(PolledSource):
 
     def _node_id(self, text: str, namespace_index: int) -> ua.NodeId:
         try:
-            node_id = ua.NodeId.from_string(f"ns={namespace_index};{text}")
+            node_id = ua.NodeId.from_string(f"ns={namespace_index};{text}" if text[1:2] == "=" else "")
         except (UaError, ValueError) as error:
             raise FatalDriverError(
-                f"{self._where}: {text!r} is no node id such as s=Temperature.1 or i=1001"
+                f"{self._where}: {text!r} is no node id such as s=Temperature.1 or i=1001, without ns="
             ) from error
         assert isinstance(node_id, ua.NodeId)
         return node_id

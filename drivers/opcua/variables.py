@@ -245,10 +245,10 @@ class Variables:
 
     def _node_id(self, key: str, text: str) -> ua.NodeId:
         try:
-            return ua.NodeId.from_string(f"ns={self._namespace_index};{text}")
+            return ua.NodeId.from_string(f"ns={self._namespace_index};{text}" if text[1:2] == "=" else "")
         except (UaError, ValueError) as error:
             raise FatalDriverError(
-                f"cnc.opcua.nodes.{key}: {text!r} is no node identifier; write s=text or i=number"
+                f"cnc.opcua.nodes.{key}: {text!r} is no node identifier; write s=text or i=number, without ns="
             ) from error
 
 

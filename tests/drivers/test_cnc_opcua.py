@@ -169,6 +169,7 @@ async def test_the_secure_channel_is_renewed_between_reads(server: SimulatedCncS
         ({"tool_number": "s=Tool"}, r"no variable tool_number \(s=Tool\)"),
         ({"macro": "i={number}"}, r"no macro variable #500 \(i=500\)"),
         ({"mode": "Mode"}, r"cnc\.opcua\.nodes\.mode: 'Mode' is no node identifier"),
+        ({"mode": "ns=2;s=Mode"}, r"'ns=2;s=Mode' is no node identifier; write s=text or i=number, without ns="),
     ],
 )
 async def test_wrong_node_identifiers_are_fatal_and_named(

@@ -134,12 +134,12 @@ async def gateway(tmp_path: Path) -> AsyncIterator[tuple[str, Keys]]:
     await server.stop()
 
 
-def tags(endpoint: str, security: Any) -> OpcUaTagSource:
+def tags(endpoint: str, security: Any, node: str = "s=T") -> OpcUaTagSource:
     opcua = {
         "endpoint": endpoint,
         "namespace_uri": "urn:gateway",
         "security": security,
-        "sensors": [{**SENSOR, "node": "s=T"}],
+        "sensors": [{**SENSOR, "node": node}],
         "timeout_s": 20.0,
     }
     content = {"name": "s", "driver": "opcua", "cycle_period_s": 0.05, "opcua": opcua}
@@ -151,6 +151,9 @@ async def test_tags_are_read_encrypted_with_a_user_and_not_otherwise(gateway: tu
     secured = tags(endpoint, keys.client_config())
     assert secured._config.exposed == ""
     assert list((await first(secured)).values) == [21.5]
+    for node in ("ns=1;s=T", "nsu=urn:gateway;s=T", "T"):  # numbers of namespaces change with a restart of the server
+        with pytest.raises(FatalDriverError, match=f"{node!r} is no node id such as .* without ns="):
+            await first(tags(endpoint, keys.client_config(), node))
     wrong = tmp_path / "wrong"
     wrong.write_text("not the password\n")
     wrong.chmod(0o600)
