@@ -55,8 +55,12 @@ WORDS = (
 """Component of the simulated machine -> words in a foreign one's name, the first that fits."""
 SIMULATED_WIRES = ("opcua", "focas", "haas", "mtconnect")
 """Drivers for which there is a simulated control."""
-LEFT_OUT = ("displacements", "spindle_speed", "signatures", "opcua_server", "shdr", "sinks")
-"""The last three would tell others what is simulated, where they look for the machine."""
+LEFT_OUT = {
+    **dict.fromkeys(("displacements", "spindle_speed", "signatures"), ""),
+    **dict.fromkeys(("opcua_server", "shdr"), ": others would take what is simulated for the machine"),
+    "sinks": ": what is simulated would stand among the plant's; `toolpoint fleet simulate` tries servers",
+}
+"""Section -> why, for people."""
 COMMON = ("id", "label", "unit", "scale", "offset", "open", "min_degc", "max_degc")
 
 
@@ -78,8 +82,9 @@ def prepare(path: Path, directory: Path, *, speed: float, http_port: int | None,
     configuration = load_configuration(path)
     base = yaml.safe_load(path.read_text(encoding="utf-8"))
     base["machine"] = f"simulated {configuration.machine}"
-    for section in (section for section in LEFT_OUT if base.pop(section, None)):
-        say(f"{section}: left out")
+    for section, why in LEFT_OUT.items():
+        if base.pop(section, None):
+            say(f"{section}: left out{why}")
     _move_sensors(base, configuration, directory, say)
     driver: str = configuration.cnc.driver
     if configuration.cnc.is_sinumerik:

@@ -48,8 +48,12 @@ HINTS = {
     "ACCESS_DENIED": "check the keys in the unit's environment, their rights there, and this computer's clock",
     "NO_SUCH_BUCKET": "there is no such bucket: check `folder`",
     "NETWORK_CONNECTION": "check `folder`, the network, and that the server runs",
+    "Errno 28]": "free space on its disk",
+    "Errno 122]": "the service's user has used up its quota there: raise it, or free space",
+    "Errno 13]": "let the service's user write there (a group, and SupplementaryGroups= of the unit)",
+    "Errno 30]": "let the unit write there: a line ReadWritePaths= (systemctl edit toolpoint-sink)",
 }
-"""What an object store says -> what to do."""
+"""What an object store or this computer says -> what to do."""
 DELTAS = 128
 """So many differences are packed together: times that come again for each sensor begin such a block, to look alike."""
 

@@ -169,9 +169,12 @@ class SinkRunner:
         if self._said:
             log.info("sink.works_again", sink=self._config.name)
             self._said = ""
-        if self.cursor.problem or not 0.0 <= time.time() - self.cursor.alive_utc_s < ALIVE_PERIOD_S:
+        if self.cursor.problem or not self._spoke_lately():
             self._progress.cursor = replace(self.cursor, problem="", alive_utc_s=time.time())
             self.cursor.write(self._path)
+
+    def _spoke_lately(self) -> bool:
+        return 0.0 <= time.time() - self.cursor.alive_utc_s < ALIVE_PERIOD_S
 
     def _failed(self, problem: str) -> None:
         self._note(problem)
@@ -183,6 +186,8 @@ class SinkRunner:
         new, self._said = problem != self._said, problem
         if new:
             log.warning("sink.failed", sink=self._config.name, problem=problem)
+        if problem == self.cursor.problem and self._spoke_lately():
+            return
         self._progress.cursor = replace(self.cursor, problem=problem, alive_utc_s=time.time())
         try:
             self.cursor.write(self._path)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from alarm_servers import Posts, web_server
+from alarm_servers import Posts, mail_server, web_server
 from certificates import make_certificate
 from control_rig import HandClock, Rig, machine, record_for, running
 from memory_cnc import MemoryNc
@@ -211,6 +211,22 @@ async def test_what_is_not_known_to_be_taken_is_a_problem_until_it_is(tmp_path: 
         await asyncio.to_thread(runner.run)
         assert ["504" in problem for problem in problems] == [True, True, True, False, False]
         assert len(it.posts.asked) == 2
+
+
+async def test_who_gets_no_alarms_is_a_problem_that_status_shows(tmp_path: Path) -> None:
+    async with hall(tmp_path) as it:
+        await it.rig.turn()
+        await fault(it.rig, "why")
+        await it.rig.history.flushed()
+        with mail_server(refused=("shift@plant.example",)) as box:
+            mail = {"host": "localhost", "port": box.port, "encryption": "none", "sender": "tp@plant.example"}
+            mail |= {"recipients": ["shift@plant.example", "anna@plant.example"], "alarms": {"disk_free_percent": 1e-9}}
+            it.config = SinkConfig.model_validate({"name": "chat", "driver": "mail", "mail": mail})
+            it.configuration = it.rig.configuration.model_copy(update={"sinks": [it.config]})
+            runner = await asyncio.to_thread(it._run)
+        assert len(box.letters) == 1 and runner.cursor.sent_rows == 1
+        (status,) = await asyncio.to_thread(sink_status, it.configuration, time.time())
+        assert status["problem"].endswith("it refuses shift@plant.example: check `recipients`")
 
 
 async def test_a_store_that_cannot_be_read_keeps_no_alarm_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

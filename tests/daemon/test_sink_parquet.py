@@ -1,5 +1,7 @@
 """The history as Parquet files by machine and day: whole files, each row once, read by DuckDB as the page says."""
 
+import errno
+import os
 import re
 import resource
 import threading
@@ -152,6 +154,29 @@ def test_a_full_disk_leaves_no_half_file(tmp_path: Path) -> None:
     assert "cannot be written" in said and "2025-10-09.parquet" in said
     assert all(rows == 144 for rows in files(folder).values()), "every file that is there is whole"
     assert send(store, folder, MIDNIGHT_S + 2 * DAY_S).problem == "" and len(files(folder)) == 7
+
+
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [
+        (errno.ENOSPC, "No space left on device.*: free space on its disk"),
+        (errno.EROFS, "Read-only file system.*: .*ReadWritePaths="),
+        (errno.EACCES, "Permission denied.*: .*SupplementaryGroups="),
+    ],
+)
+def test_what_keeps_a_file_from_being_written_is_named_with_what_to_do(tmp_path: Path, number: int, said: str) -> None:
+    store, folder = tmp_path / "h.sqlite", tmp_path / "files"
+    fill(store, MIDNIGHT_S, 24.0)
+
+    class Refused(ParquetSink):
+        def _write(self, outbox, stream, day):
+            self._files.put = refuse
+            return super()._write(outbox, stream, day)
+
+    def refuse(name: str, content: bytes) -> None:
+        raise OSError(number, os.strerror(number), name)
+
+    assert re.search(said, send(store, folder, MIDNIGHT_S + 2 * DAY_S, Refused).problem)
 
 
 @pytest.mark.parametrize("content", [b"", b"PAR1 is how it begins", "foreign"])

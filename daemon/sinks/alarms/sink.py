@@ -162,8 +162,8 @@ class AlarmSink:
         self._computer: tuple[Condition, ...] = ()
         self._unwritten = ""
         """Why the file does not hold what is known, '' where it does."""
-        self._unanswered = ""
-        """Why nobody knows whether the last message was taken."""
+        self._untold = ""
+        """Whom the last message did not reach, or why nobody knows whether it did; '' when it reached all."""
 
     def open(self, cursor: Cursor) -> Mapping[str, Position]:
         """Return how far the events were read."""
@@ -182,10 +182,12 @@ class AlarmSink:
             self._looked_s = time.monotonic()
         self._save()
         told = self._tell()
-        if problem := self._unwritten or self._unanswered:
-            raise SinkWaitsError(problem)
+        if self._unwritten:
+            raise SinkWaitsError(self._unwritten)
         if events or told:
             progress.acknowledged(EVENTS.name, Position(row=self._known.row), self._now_utc_s(), sent=told, stored=told)
+        if self._untold:
+            raise SinkWaitsError(self._untold)
         return False
 
     def look_on(self) -> None:
@@ -292,16 +294,15 @@ class AlarmSink:
         if not (entries := ledger.due(limits, now_utc_s)):
             return 0
         message = Message(machine=self._configuration.machine, time_utc_s=now_utc_s, entries=entries)
-        self._unanswered = ""
         try:
-            if problem := self._messenger.send(message):
-                log.warning("alarms.not_everybody", sink=self._name, problem=problem)
+            self._untold, told = self._messenger.send(message), len(entries)
             ledger = ledger.told(entries, now_utc_s)
         except UnansweredError as error:
-            self._unanswered, ledger = str(error), ledger.sent(entries, now_utc_s)
+            self._untold, told = str(error), 0
+            ledger = ledger.sent(entries, now_utc_s)
         self._known = replace(self._known, ledger=ledger)
         self._save()
-        return 0 if self._unanswered else len(entries)
+        return told
 
     def _save(self) -> None:
         """Replace the file in one step, when it changes."""
