@@ -260,7 +260,7 @@ class OpcUaCnc:
         self, services: Services, variables: Variables, groups: Sequence[Sequence[tuple[int, float]]]
     ) -> None:
         every = [pair for group in groups for pair in group]
-        if unknown := variables.of_unknown_type(every):
+        if unknown := [number for number, _ in every if number not in variables.targets]:
             types = await self._read(services, variables, partial(variables.type_requests, unknown))
             variables.learn_types(unknown, types)
         variables.check_fit(every, self._config.macros.tolerance)

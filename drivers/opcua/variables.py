@@ -96,18 +96,15 @@ class Variables:
         self._namespace_index = namespace
         self._macro_pattern = found.nodes["macro"]
         self._macros: dict[int, ua.NodeId] = {}
-        self._targets: dict[int, tuple[bytes, int]] = {}
+        self.targets: dict[int, tuple[bytes, int]] = {}
         """Of a macro variable that is written: what names it in a request, and the type that it takes."""
         self._keys = tuple(key for key in STATE_NODES if key in found.nodes)
         self._texts = [found.nodes[key] for key in self._keys]
         self._state = [self._node_id(key, text) for key, text in zip(self._keys, self._texts, strict=True)]
         self._reads: dict[tuple[int, ...], tuple[bytes, ...]] = {}
         self._most = most
-        self.cannot = {
-            key: f"cnc.opcua.nodes.{key} names no variable of the server"
-            for key in STATE_NODES
-            if key not in self._keys
-        }
+        missing = [key for key in STATE_NODES if key not in self._keys]
+        self.cannot = {key: f"cnc.opcua.nodes.{key} names no variable of the server" for key in missing}
         """What the control has no variable for, with the reason."""
         self._axes = axes or {}
         pattern = found.nodes.get("axis_position")
@@ -115,13 +112,11 @@ class Variables:
             self._axes = {}
             self.cannot[Capability.AXIS_POSITION] = "cnc.opcua.nodes.axis_position names no variable of the server"
         self._nowhere = dict.fromkeys(set(axes or {}) - set(self._axes), math.nan)
-        self._positions = [
-            self._node_id(
-                "axis_position",
-                str(pattern).replace("{axis}", each.axis).replace("{number}", str(each.place)),
-            )
+        of_axes = [
+            str(pattern).replace("{axis}", each.axis).replace("{number}", str(each.place))
             for each in self._axes.values()
         ]
+        self._positions = [self._node_id("axis_position", text) for text in of_axes]
 
     def read_requests(self, macros: Sequence[int], *, state: bool) -> tuple[bytes, ...]:
         """Return the parameters that read the state (or not) and the given macro variables, by request."""
@@ -138,10 +133,6 @@ class Variables:
         before, self._most = self._most, (self._most + 1) // 2
         return self._most < before
 
-    def of_unknown_type(self, macros: Iterable[tuple[int, float]]) -> list[int]:
-        """Return those macro variables of which it is not known what they take."""
-        return [number for number, _ in macros if number not in self._targets]
-
     def type_requests(self, macros: Sequence[int]) -> list[bytes]:
         """Return the parameters that read the types of macro variables, by request."""
         return self._split([self._macro_node_id(number) for number in macros], AttributeIds.DataType)
@@ -155,12 +146,12 @@ class Variables:
         _require_all(answers, macros)
         for number, told in zip(macros, (each.value for each in answers), strict=True):
             built_in = isinstance(told, ua.NodeId) and told.NamespaceIndex == 0 and told.Identifier in BUILT_IN
-            self._targets[number] = encode_target(self._macro_node_id(number)), told.Identifier if built_in else DOUBLE
+            self.targets[number] = encode_target(self._macro_node_id(number)), told.Identifier if built_in else DOUBLE
 
     def check_fit(self, macros: Iterable[tuple[int, float]], tolerance: float) -> None:
         """Raise NotSentError for a value that a macro variable of its type cannot hold."""
         for number, value in macros:
-            kind = self._targets[number][1]
+            kind = self.targets[number][1]
             if not abs(encode_number(value, kind)[1] - value) <= tolerance:
                 raise NotSentError(
                     f"macro variable #{number} cannot hold {value!r}: in the server it is of type "
@@ -171,7 +162,7 @@ class Variables:
     def write_request(self, group: Sequence[tuple[int, float]]) -> tuple[Sequence[tuple[int, float]], bytes]:
         """Return as much of a group as goes into one request, and the parameters that write it."""
         part = group[: self._most]
-        targets = ((*self._targets[number], value) for number, value in part)
+        targets = ((*self.targets[number], value) for number, value in part)
         return part, encode_write([(target, encode_number(value, kind)[0]) for target, kind, value in targets])
 
     def sample(self, time: Instant, macros: Sequence[int], answers: Sequence[Answer]) -> CncSample:
