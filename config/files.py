@@ -35,7 +35,9 @@ def write_whole(path: Path, content: str | bytes, mode: int | None = None) -> No
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with temporary.open("wb") as file:
+        temporary.unlink(missing_ok=True)
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC  # a link that is put there is not followed
+        with os.fdopen(os.open(temporary, flags, 0o666 if mode is None else mode), "wb") as file:
             file.write(content.encode() if isinstance(content, str) else content)
             file.flush()
             if mode is not None:

@@ -180,7 +180,8 @@ def _manifest(configuration: Configuration, sources: Sequence[Source], unsigned:
 def write_archive(partial: Path, manifest: Manifest, sources: Sequence[Source], key: SigningKey | None = None) -> None:
     """Write the tar, the manifest first, and hand it to the disk."""
     content = manifest.model_dump_json(indent=2).encode() + b"\n"
-    descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, BACKUP_MODE)
+    partial.unlink(missing_ok=True)
+    descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, BACKUP_MODE)
     with os.fdopen(descriptor, "wb") as file:
         with tarfile.open(fileobj=file, mode="w", format=tarfile.PAX_FORMAT) as archive:
             archive.addfile(_entry(MANIFEST_NAME, len(content)), io.BytesIO(content))

@@ -1,6 +1,7 @@
 """Files are written whole or not at all."""
 
 import io
+import os
 from pathlib import Path
 
 import pytest
@@ -32,6 +33,32 @@ def test_the_old_file_stands_where_the_new_one_cannot_be_written(tmp_path: Path)
     assert sorted(tmp_path.iterdir()) == [path, folder], "nothing is left beside it"
     with pytest.raises(OSError, match="No such file"):
         write_whole(tmp_path / "nowhere" / "file", "x")
+
+
+def test_a_link_in_the_place_of_the_temporary_file_is_not_followed(tmp_path: Path) -> None:
+    """Whoever owns the folder knows its name, and root writes there too."""
+    (tmp_path / "of_root").write_text("left as it is")
+    (tmp_path / f".file.{os.getpid()}.tmp").symlink_to(tmp_path / "of_root")
+    write_whole(tmp_path / "file", "new")
+    assert (tmp_path / "of_root").read_text() == "left as it is"
+    assert (tmp_path / "file").read_text() == "new" and not (tmp_path / "file").is_symlink()
+
+
+def test_nobody_else_can_open_a_private_file_before_it_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[int] = []
+    fchmod = os.fchmod
+
+    def looked_at(descriptor: int, mode: int) -> None:
+        seen.append(os.fstat(descriptor).st_mode & 0o777)
+        fchmod(descriptor, mode)
+
+    monkeypatch.setattr(os, "fchmod", looked_at)
+    mask = os.umask(0)
+    try:
+        write_whole(tmp_path / "key", "secret", 0o600)
+    finally:
+        os.umask(mask)
+    assert seen == [0o600]
 
 
 def test_digests() -> None:

@@ -116,6 +116,16 @@ def test_a_backup_overwrites_nothing_and_leaves_nothing_half_done(installation):
     assert read_manifest(path).store_schema >= 1
 
 
+def test_a_link_in_the_place_of_the_half_done_backup_is_not_followed(installation, tmp_path):
+    """The folder may be the daemon's own, and root makes a back-up there too."""
+    (tmp_path / "of_root").write_text("left as it is", encoding="utf-8")
+    (tmp_path / ".b.tar.partial").symlink_to(tmp_path / "of_root")
+    path = tmp_path / "b.tar"
+    make_backup(load_configuration(installation.config_path), installation.config_path, path)
+    assert (tmp_path / "of_root").read_text(encoding="utf-8") == "left as it is"
+    assert read_manifest(path).files and not path.is_symlink()
+
+
 def test_backups_of_a_clock_that_was_ahead_make_room_for_those_of_the_right_one(installation):
     folder = installation.folder / "backups"
     folder.mkdir()
