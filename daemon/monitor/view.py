@@ -156,7 +156,6 @@ def _header(picture: Mapping[str, Any]) -> Text:
         line.append(f"\nthe estimate counts {output['weight']:.0%}: sensors are missing", style="yellow")
     if output["alarm"]:
         line.append(f"\n{output['alarm']}", style="bold red")
-        line.append(f" (FAULT {output['fault']})" if output["state"] == "FAULT" else "", style="bold red")
     elif output["notices"]:
         line.append(f"\n{output['notices'][-1]}", style="dim")
     if problem := picture["model"].get("problem"):

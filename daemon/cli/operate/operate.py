@@ -136,8 +136,8 @@ def disable(
 def acknowledge(config_path: Path, socket_path: Path | None, fault: int | None) -> None:
     """Clear a latched FAULT after its cause is gone; the output then holds what the CNC applies.
 
-    FAULT is its number, as `toolpoint status` tells it; left out, the FAULT is shown and you are asked. One that came
-    after it is not cleared.
+    FAULT is its number, `output.fault` of `toolpoint status --json -`; left out, the FAULT is shown and you are asked.
+    One that came after it is not cleared.
     """
     with daemon_at(config_path, socket_path) as client:
         if fault is None:
