@@ -106,13 +106,19 @@ def semi_discretised_lobes(
 
 
 def limiting_depth(
-    response: ModalResponse, cut: Cut, *, speed_rpm: float, feed_deg: float, max_depth_mm: float | None = None
+    response: ModalResponse,
+    cut: Cut,
+    *,
+    speed_rpm: float,
+    feed_deg: float,
+    max_depth_mm: float | None = None,
+    steps: int | None = None,
 ) -> tuple[float, float]:
     """Return the limiting depth [mm] at one speed [1/min] and the frequency of its chatter [Hz].
 
     Result: inf and NaN where the cut is stable up to the greatest depth. Else as `semi_discretised_lobes`.
     """
-    methods = _Methods(response, cut, feed_deg, None)
+    methods = _Methods(response, cut, feed_deg, steps)
     typical_mm = typical_depth_mm(response, cut)
     deepest_mm = max_depth_mm or DEEPEST * typical_mm
     levels_mm = np.geomspace(min(SHALLOWEST * typical_mm, 0.5 * deepest_mm), deepest_mm, LEVELS)

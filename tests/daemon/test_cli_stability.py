@@ -132,6 +132,22 @@ def test_where_a_spindle_cannot_be_computed(turning: Path) -> None:
     )
 
 
+def test_steps_count_for_a_spindle_that_turns(turning: Path, case: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the same modes at every speed, it has the lobes of a case that gives them."""
+    modes = ModalResponse(xx=(mode_from_mass(922.0, 0.011, 0.03993),))
+    monkeypatch.setattr(RotatingSpindle, "modes_at", lambda *_: modes)
+    slot = turning.with_name("slot.yaml")
+    both = "{spindle: simulated_machine}"
+    slot.write_text(CASE.replace(f"{{{MODE}}}", both).replace("y: rigid", f"y: {both}"), encoding="utf-8")
+    words = ("--method", "sdm", "--steps", 12, "--from-rpm", 9000, "--to-rpm", 11000, "--points", 2)
+    found, expected = answer("lobes", slot, *words), answer("lobes", case, *words)
+    assert found["limiting_depth_mm"] == pytest.approx(expected["limiting_depth_mm"], rel=1e-6)
+    at = f"9000:{1.001 * found['limiting_depth_mm'][0]}"
+    under = f"9000:{0.999 * found['limiting_depth_mm'][0]}"
+    points = answer("lobes", slot, "--method", "sdm", "--steps", 12, "--at", at, "--at", under)["points"]
+    assert [each["stable"] for each in points] == [False, True]
+
+
 def run_config(path: Path) -> str:
     result = run("lobes", path)
     assert result.exit_code != 0
@@ -154,6 +170,19 @@ def test_the_worst_feed_direction(case: Path) -> None:
     worst = answer("lobes", path)
     along_x = answer("lobes", other(case, ("milling: slot", "milling: down"), ("_mm: 10\nmill", "_mm: 2\nmill")))
     assert worst["minimum"]["depth_mm"] < along_x["minimum"]["depth_mm"]
+
+
+@pytest.mark.parametrize("method", [("--method", "zoa"), ("--method", "sdm", "--steps", 12)])
+def test_the_worst_feed_direction_counts_at_each_speed(case: Path, method: tuple[object, ...]) -> None:
+    across = (("y: rigid", "y: {modes: [{frequency_hz: 700, damping_ratio: 0.02, mass_kg: 0.1}]}"),)
+    down = (("milling: slot", "milling: down"), ("_mm: 10\nmill", "_mm: 2\nmill"))
+    words = (*method, "--from-rpm", 9000, "--to-rpm", 12000, "--points", 2)
+    worst = answer("lobes", other(case, *across, *down, ("feed_deg: 0", "feed_deg: all")), *words)
+    each = [
+        answer("lobes", other(case, *across, *down, ("feed_deg: 0", f"feed_deg: {feed}")), *words)["limiting_depth_mm"]
+        for feed in np.arange(0.0, 180.0, 22.5)
+    ]
+    assert worst["limiting_depth_mm"] == pytest.approx(np.min(each, axis=0), rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -126,7 +126,9 @@ def _turning_limits(
         return [(float(lobes.limiting_depth_mm[0]), float(lobes.chatter_hz[0])) for lobes in both]
     modes = spindle.modes_at(speed_rpm)
     return [
-        limiting_depth(modes, cut, speed_rpm=speed_rpm, feed_deg=feed_deg, max_depth_mm=request.max_depth_mm)
+        limiting_depth(
+            modes, cut, speed_rpm=speed_rpm, feed_deg=feed_deg, max_depth_mm=request.max_depth_mm, steps=request.steps
+        )
         for feed_deg in feeds_deg
     ]
 
