@@ -61,7 +61,11 @@ for _command in (chatter, roughness, compare, modes, coefficients, warm_up):
 )
 @option("--from-rpm", type=SPEED, default=2000.0, help="First spindle speed [1/min].")
 @option("--to-rpm", type=SPEED, default=14000.0, help="Last spindle speed [1/min].")
-@option("--points", type=click.IntRange(2, 20000), help="Number of speeds. Without: 400 (zoa), 100 (sdm).")
+@option(
+    "--points",
+    type=click.IntRange(2, 20000),
+    help="Number of speeds. Without: 400 (zoa), 100 (sdm), 60 of a spindle that turns.",
+)
 @option(
     "--max-depth-mm",
     type=DEPTH,
