@@ -52,6 +52,8 @@ class Plan:
     positions: Mapping[str, Positions] = field(default_factory=dict)
     """Machine positions of an axis [mm] at which its slope is read, by the slope's name; else a person is asked."""
     guard_program_sha256: str | None = None
+    replaces: bool = True
+    """The record is to take the place of the configured one, not to lie beside it."""
 
 
 @dataclass(slots=True)
@@ -115,7 +117,7 @@ class Commissioning:
             await self._station.supervise(self._prove(), *beside)
         except BaseException as error:
             doubt: BaseException = error
-            if isinstance(error, asyncio.CancelledError) and (axis := self._outcome.moving):
+            if isinstance(error, asyncio.CancelledError) and self._plan.replaces and (axis := self._outcome.moving):
                 doubt = DisprovedError("a person has broken off what was to prove it", axis)
             if isinstance(doubt, DisprovedError):
                 set_aside(self._configuration.compensation.commissioning_file, doubt, self._report)
