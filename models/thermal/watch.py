@@ -377,7 +377,10 @@ class Watcher:
         excluded = state.excluded
         state = replace(state, departed=self._departed(state, excluded))
         departures = np.abs(state.departed)
-        over_min = np.where(departures > 1.0, state.over_min + min(elapsed_min, 0.5 * CONFIRM_MIN), 0.0)
+        over = departures > 1.0
+        if over.any():  # what began far from its surroundings, and is by now as training knows it, is no fault
+            over &= np.abs(self._departed(replace(state, slow=np.zeros_like(state.slow)), excluded)) > 1.0
+        over_min = np.where(over, state.over_min + min(elapsed_min, 0.5 * CONFIRM_MIN), 0.0)
         if not (over_min >= CONFIRM_MIN).any():
             return replace(state, over_min=over_min)
         culprits = self._culprits(state, excluded, departures)

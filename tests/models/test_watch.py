@@ -315,3 +315,20 @@ def test_a_sensor_that_begins_on_a_coarse_step_and_shows_finer_values_has_the_li
 )
 def test_a_value_tells_the_usual_step_that_it_is_a_multiple_of(degc: float, step_k: float) -> None:
     assert usual_step_k(np.array([degc])) == pytest.approx([step_k])
+
+
+@pytest.mark.parametrize("before_min", [0, 240])
+def test_a_part_that_begins_off_its_surroundings_is_no_fault(
+    watch: SensorWatch, whole: Recording, before_min: int
+) -> None:
+    """A door stood open: for hours its first minutes counted as where it stands, so too after a gap."""
+    assert whole.speed_rpm is not None
+    watcher, rng, speed_rpm = Watcher(watch), np.random.default_rng(6), float(whole.speed_rpm[0])
+    at_rest, off_k = whole.temperatures_degc[0], 1.5 * watch.threshold_k[2] * np.eye(SENSORS)[2]
+    state = watcher.begin(0.0, at_rest + (off_k if before_min == 0 else 0.0), speed_rpm)
+    for minute in range(1, before_min + 240):
+        after_gap = minute >= before_min > 0
+        share = np.exp(-(minute - before_min) / 8.0) if minute >= before_min else 0.0
+        degc = at_rest + share * off_k + rng.normal(0.0, 0.01, SENSORS)
+        state = watcher.step(state, minute + 600.0 * after_gap, degc, speed_rpm)
+    assert state.faults == (), "by now it is as training knows it"
