@@ -84,6 +84,7 @@ def spoil(path: Path, old: str, new: str) -> None:
         ("impacts.csv", "x_001.csv,x,720.0", "x_000.csv,x,720.0", "column file: there is no file"),
         ("impacts.csv", "x_001.csv,x,720.0", "x_001.csv,x,9e6", "times must be those of the recording"),
         ("x_001.csv", "frequency_hz", "Hz", "there is no column frequency_hz"),
+        ("temperatures.csv", "t,T1,", "clock,T1,", "temperatures.csv: no column of the recording is a time"),
         ("spindle.yaml", "length_mm: 15", "length_mm: -15", "spindle.yaml:9:17: segments[0].length_mm"),
     ],
 )

@@ -130,7 +130,7 @@ def read_run(folder: Path, recording: Path, configuration: Configuration | None,
 def read_temperatures(path: Path, configuration: Configuration | None) -> Temperatures:
     """Return a recording as signals: means by label with a configuration, columns without; raises a driver's error."""
     header = read_header(path)
-    columns = _map(header)
+    columns = _map(path, header)
     recording = read_recording(path, columns)
     names, degc = recording.temperature_names, recording.temperatures_degc
     if configuration is not None:
@@ -147,7 +147,7 @@ def read_temperatures(path: Path, configuration: Configuration | None) -> Temper
     )
 
 
-def _map(header: Sequence[str]) -> RecordingMap:
+def _map(path: Path, header: Sequence[str]) -> RecordingMap:
     """Return the usual map, or one of a recording that holds temperatures alone."""
     usual = [name for name in header if name[:1] in "tT" and name[1:].isdigit()]
     try:
@@ -155,10 +155,11 @@ def _map(header: Sequence[str]) -> RecordingMap:
     except ValueError:
         time = next((name for name in header if name in TIME_NAMES), None)
         if time is None:
-            raise
+            names = f"{', '.join(TIME_NAMES)}; its columns are {', '.join(header)}"
+            raise ImpactIndexError(f"{path}: no column of the recording is a time, called {names}") from None
     others = usual or [name for name in header if name != time and name not in NOT_TEMPERATURES]
     if not others:
-        raise ImpactIndexError(f"the recording has no temperatures; its columns are {', '.join(header)}")
+        raise ImpactIndexError(f"{path}: the recording has no temperatures; its columns are {', '.join(header)}")
     unit: Literal["s", "min", "h", "iso"] = "s"
     if time in LONG_UNITS:
         unit = LONG_UNITS[time]
