@@ -19,25 +19,27 @@ RECONNECTS = 15
 """A lost link is tried so often before the machine is left as it is."""
 
 
-def set_aside(record_file: Path | None, error: DisprovedError, report: Callable[[str], None]) -> None:
-    """Let a record of before count no more that says otherwise of this axis, or more than was seen of it now."""
-    if record_file is None:
-        return
+def set_aside(record_file: Path | None, error: DisprovedError | None) -> str:
+    """Let a record of before count no more that says otherwise of this axis, or more than was seen of it now.
+
+    Returns what a person is to know of it; empty when every record counts as before.
+    """
+    if record_file is None or error is None:
+        return ""
     try:
         record = load_commissioning(record_file)
     except CommissioningError:
-        return
+        return ""
     known = record.axes.get(error.axis)
     if known is None or abs(error.ratio / (known.sign * known.scale) - 1.0) <= PROOF_TOLERANCE:
-        return
+        return ""
     aside = record_file.with_name(record_file.name + DISPROVED)
     what = f"The record of {record.date} is in doubt for axis {error.axis}"
     try:
         record_file.replace(aside)
     except OSError as problem:
-        report(f"{what} and still counts: {record_file} cannot be renamed ({problem.strerror}); remove it")
-    else:
-        report(f"{what}, so it counts no more and is {aside} now: no axis can be switched on until a new one is there")
+        return f"{what} and still counts: {record_file} cannot be renamed ({problem.strerror}); remove it"
+    return f"{what}, so it counts no more and is {aside} now: no axis can be switched on until a new one is there"
 
 
 class SafeExit:

@@ -85,6 +85,7 @@ class Commissioning:
         self._plan = plan
         self._station = station
         self._dialogue = dialogue
+        self._say = dialogue.say
         self._instruments = instruments
         self._history = history
         self._today = today
@@ -116,11 +117,10 @@ class Commissioning:
             beside = [] if self._log is None else [self._log.follow()]
             await self._station.supervise(self._prove(), *beside)
         except BaseException as error:
-            doubt: BaseException = error
-            if isinstance(error, asyncio.CancelledError) and self._plan.replaces and (axis := self._outcome.moving):
-                doubt = DisprovedError("a person has broken off what was to prove it", axis)
-            if isinstance(doubt, DisprovedError):
-                set_aside(self._configuration.compensation.commissioning_file, doubt, self._report)
+            disproof = _disproof(error, self._outcome.moving if self._plan.replaces else "")
+            if told := set_aside(self._configuration.compensation.commissioning_file, disproof):
+                self._event(told)
+                self._say(told)
             await SafeExit(self._station, self._movement, self._dialogue, self._event).leave(error)
             raise
         finally:
@@ -131,13 +131,6 @@ class Commissioning:
 
     def _event(self, text: str) -> None:
         self._history.event("commissioning", text, self._plan.person)
-
-    def _report(self, text: str) -> None:
-        self._event(text)
-        self._say(text)
-
-    def _say(self, text: str) -> None:
-        self._dialogue.say(text)
 
     async def _agree(self, question: str) -> None:
         if not await self._dialogue.confirm(question):
@@ -323,6 +316,13 @@ class Commissioning:
             software=f"toolpoint {version('toolpoint')}",
             axes=outcome.axes,
         )
+
+
+def _disproof(error: BaseException, moving: str) -> DisprovedError | None:
+    """Return what lets the record of before count no more; `moving`: the axis that a person may have seen go wrong."""
+    if isinstance(error, asyncio.CancelledError) and moving:
+        return DisprovedError("a person has broken off what was to prove it", moving)
+    return error if isinstance(error, DisprovedError) else None
 
 
 def _login() -> str:
