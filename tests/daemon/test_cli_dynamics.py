@@ -163,6 +163,14 @@ def test_a_layout_twice_as_stiff_in_all_yields_half_at_root_two_of_the_frequency
     assert max(peak["magnitude_m_per_n"] for peak in response["peaks"]) == first["compliance_m_per_n"]
 
 
+def test_a_recording_of_numbered_sensors_is_told_how_they_get_labels(tmp_path: Path) -> None:
+    recording = tmp_path / "day.csv"
+    recording.write_text("t,T1,T2\n0,20,20\n60,20,20\n")
+    result = call("track", recording, "--spindle", "tool_warm_y")
+    assert result.exit_code == 2
+    assert "no sensor carries the label A, F, IR, Room" in result.stderr and "--config names" in result.stderr
+
+
 def test_what_is_followed_over_a_recording_is_the_peak_on_the_bearings_of_its_temperatures(tmp_path: Path) -> None:
     recording = tmp_path / "day.csv"
     rows = [f"{60 * minute},20,20,20,20" for minute in range(15)]

@@ -81,7 +81,10 @@ def track_recording(
     try:
         tracker = ToolPointTracker(model, assemblies, labels, near_hz=near)
     except ValueError as error:
-        raise TrackingError(f"{temperatures.name}: {error}; the recording has {', '.join(labels)}") from error
+        raise TrackingError(
+            f"{temperatures.name}: {error}; the recording has {', '.join(labels)}. Where these are numbers of sensors, "
+            "--config names the configuration that gives them labels"
+        ) from error
     columns = [temperatures.signals.index(name) for name in model.signals]
     times: list[float] = []
     found: list[ToolPointDynamics] = []
