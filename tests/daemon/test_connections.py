@@ -10,12 +10,13 @@ from typing import Any
 
 import psutil
 import pytest
-from starlette.responses import PlainTextResponse
+from starlette.responses import PlainTextResponse, StreamingResponse
 from structlog.testing import capture_logs
 
 from daemon.monitor import connections, control_socket
 from daemon.monitor.control_client import ControlClient
 from daemon.monitor.control_socket import ControlSocket
+from daemon.monitor.listening import listening
 from daemon.monitor.web import server
 from daemon.monitor.web.server import serve_web
 from daemon.simulation.processes import free_port
@@ -147,6 +148,47 @@ async def test_requests_that_arrive_together_on_the_control_socket_leave_the_con
             writer.write(b"{}\n" * 400)
         assert await most_in_a_turn(lambda: asked, 2000) <= 2
         await ended(writers)
+
+
+async def test_a_slow_viewer_gets_the_answer_that_follows_a_large_one_on_the_same_connection(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What waits then is of the next answer, and is more than there was, though all of the first was taken."""
+    monkeypatch.setattr(server, "SEND_S", 1.0)
+    number, large = free_port(), PlainTextResponse("x" * 12_000_000)
+
+    async def pieces() -> AsyncIterator[bytes]:
+        yield b"y" * 20_000_000
+        yield b"end"
+
+    async def application(scope: Any, receive: Any, send: Any) -> None:
+        await (large if scope["path"] == "/" else StreamingResponse(pieces()))(scope, receive, send)
+
+    async with running(lambda on: serve_web(application, "127.0.0.1", number, None, on)), asyncio.timeout(120):
+        reader, writer = await asyncio.open_connection("127.0.0.1", number)
+        writer.write(b"GET / HTTP/1.1\r\nHost: toolpoint\r\n\r\n")
+        await reader.readuntil(b"\r\n\r\n")
+        await reader.readexactly(12_000_000)
+        writer.write(b"GET /pieces HTTP/1.1\r\nHost: toolpoint\r\n\r\n")
+        await reader.readuntil(b"\r\n\r\n")
+        for _ in range(20):
+            await asyncio.sleep(0.1)
+            await reader.readexactly(1000)
+        rest = b""
+        while not rest.endswith(b"end\r\n0\r\n\r\n"):
+            rest += (more := await reader.read(1_000_000))
+            assert more, "it was broken off"
+        writer.close()
+
+
+async def test_as_many_as_are_served_may_connect_at_once() -> None:
+    """One is taken in a turn of the loop: whom the kernel has no room for meanwhile is silent for a second."""
+    with (
+        listening("127.0.0.1", free_port(), server.WAITING_CONNECTIONS) as listener,
+        contextlib.ExitStack() as open_ones,
+    ):
+        for _ in range(server.MOST_CONNECTIONS):
+            open_ones.enter_context(socket.create_connection(listener.getsockname(), timeout=0.9))
 
 
 async def test_half_said_requests_on_the_control_socket_are_bounded_and_others_are_answered(tmp_path: Path) -> None:

@@ -26,10 +26,8 @@ HEAD_S = 10.0
 IDLE_S = 15
 """A connection without a request is ended after this [s]."""
 HANDSHAKE_S = 10.0
-WAITING_CONNECTIONS = 128
-"""So many connections wait in the kernel until they are taken."""
-MOST_CONNECTIONS = 256
-"""So many are open at a time: the pages of 50 viewers."""
+WAITING_CONNECTIONS = MOST_CONNECTIONS = 256
+"""So many connections wait in the kernel until they are taken, and are open at a time: the pages of 50 viewers."""
 SHARE_OF_DESCRIPTORS = 4
 HEADER_LINES = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
 LONGEST_HEAD = 16384
@@ -82,9 +80,13 @@ class _Connection(H11Protocol):
             self._untaken.cancel()
         self._wait_until_taken(0)
 
+    def _under_way(self) -> bool:
+        return self.cycle is not None and not self.cycle.response_complete
+
     def _wait_until_taken(self, waited: int) -> None:
         """End the connection when of an answer that is complete nothing is taken: all of it waits in memory."""
-        waits = self.transport.get_write_buffer_size()
+        # Of a next answer that is under way each piece must be taken in time, and this begins anew at its end.
+        waits = 0 if self._under_way() else self.transport.get_write_buffer_size()
         if 0 < waited <= waits:
             self._abort()
         elif waits:
@@ -92,7 +94,7 @@ class _Connection(H11Protocol):
 
     def _look(self) -> None:
         """Bound the time of a head that has begun; note whether a request is under way."""
-        under_way = self.cycle is not None and not self.cycle.response_complete
+        under_way = self._under_way()
         if under_way and not self._conversation.busy:
             self._conversation.busy = True
             self._conversation.on_request()
