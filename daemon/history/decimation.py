@@ -173,11 +173,6 @@ def decimated(
     return {name: each.series() for name, each in buckets.items()}
 
 
-def check_names(names: Sequence[str]) -> None:
-    """Raise SeriesError naming the first series that cannot be."""
-    _by_source(names)
-
-
 def _within(extent: tuple[float, float] | None, from_s: float, to_s: float) -> tuple[float, float]:
     return (from_s, from_s) if extent is None else (max(from_s, extent[0]), min(to_s, extent[1] + 0.001))
 

@@ -16,7 +16,7 @@ from config.schema.service import HistoryConfig
 from daemon.history import HistoryWriter
 from daemon.history.columns.packing import decode_extremes, temperature_extremes
 from daemon.history.columns.temperature_chunks import CycleBlock
-from daemon.history.decimation import COARSE_S, Buckets, SeriesError, SeriesReader, check_names, decimated
+from daemon.history.decimation import COARSE_S, Buckets, SeriesError, SeriesReader, decimated
 from models.quality import Quality
 
 DAYS = 3
@@ -90,9 +90,9 @@ def test_days_come_from_the_extremes_and_leave_no_peak_out(store, packed):
 @pytest.mark.parametrize(
     "name", ["", "temperature", "temperature.x", "temperature.٣", "estimated", "nothing.Z1", "a" * 99]
 )
-def test_a_series_that_cannot_be_is_named(name):
+def test_a_series_that_cannot_be_is_named(packed, name):
     with pytest.raises(SeriesError, match="there is no series"):
-        check_names([name])
+        ask(packed, [name], EPOCH_S, END_S, 10)
 
 
 def test_a_query_can_be_broken_off(packed):

@@ -224,3 +224,40 @@ async def test_a_flood_of_requests_keeps_the_control_neither_from_its_turn_nor_f
         assert most <= 2
         for _, writer in flood:
             writer.close()
+
+
+async def test_metrics_are_told_while_queries_of_the_store_take_long_and_queries_while_strangers_flood(
+    tmp_path, monkeypatch
+):
+    """Somebody looks at months in two windows: Prometheus must not take the daemon for dead meanwhile."""
+    blocked, begun = threading.Event(), []
+
+    def held_up(*_):
+        begun.append(1)
+        blocked.wait(60.0)
+        return {}
+
+    series = "/api/v1/series?name=temperature.1"
+    async with monitor(tmp_path) as bench, asyncio.timeout(120):
+        try:
+            with monkeypatch.context() as slow:
+                slow.setattr(recorded, "decimated", held_up)
+                windows = [asyncio.create_task(bench.browser().get(series)) for _ in range(recorded.THREADS)]
+                while len(begun) < len(windows):
+                    await asyncio.sleep(0.01)
+                assert (await asyncio.wait_for(bench.browser().get("/metrics"), 10.0)).status == 200
+                blocked.set()
+                assert [(await each).status for each in windows] == [200] * len(windows)
+            blocked.clear()
+            monkeypatch.setattr(application, "openapi_document", held_up)
+            flood = [await connected(bench.port) for _ in range(2 * recorded.MOST_WAITING)]
+            for _, writer in flood:
+                writer.write(HEAD % b"/openapi.json")
+            assert b" 503 " in await asyncio.wait_for(
+                next(asyncio.as_completed([reader.readline() for reader, _ in flood])), 30.0
+            )
+            assert (await asyncio.wait_for(bench.browser().get(series), 10.0)).status == 200
+        finally:
+            blocked.set()
+        for _, writer in flood:
+            writer.close()

@@ -13,7 +13,7 @@ import numpy as np
 
 from config.schema import Configuration
 from daemon.history.database import HistoryError
-from daemon.history.decimation import Decimated, SeriesError, SeriesReader, check_names, decimated
+from daemon.history.decimation import Decimated, SeriesError, SeriesReader, decimated
 from daemon.monitor.web.problems import ProblemError
 
 Answer = TypeVar("Answer")
@@ -28,23 +28,40 @@ class QueryBrokenOffError(Exception):
     """Nobody waits for the answer any more, or it takes too long."""
 
 
+class _Threads:
+    def __init__(self, number: int) -> None:
+        self.pool = ThreadPoolExecutor(number, thread_name_prefix="monitor")
+        self._waiting = 0
+
+    async def run(self, work: Callable[[], Answer]) -> Answer:
+        """Return what `work` returns; raises ProblemError when too much waits already."""
+        if self._waiting >= MOST_WAITING:
+            raise ProblemError(503, "too many queries are under way; try again", {"retry-after": "2"})
+        self._waiting += 1
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self.pool, work)
+        finally:
+            self._waiting -= 1
+
+
 class Recorded:
-    """Runs queries of the store, and what else takes long, beside the loop."""
+    """Runs queries of the store, and in a thread of its own what does not wait for them, beside the loop."""
 
     def __init__(self, configuration: Configuration) -> None:
         self._path = configuration.history.path
-        self._threads = ThreadPoolExecutor(THREADS, thread_name_prefix="monitor-query")
-        self._waiting = 0
+        self._queries, others = _Threads(THREADS), _Threads(1)
+        self._pools, self.beside = (self._queries.pool, others.pool), others.run
 
     def close(self) -> None:
         """Take no more queries."""
-        self._threads.shutdown(wait=False, cancel_futures=True)
+        for pool in self._pools:
+            pool.shutdown(wait=False, cancel_futures=True)
 
     async def query(self, ask: Callable[[SeriesReader, Callable[[], None]], Answer]) -> Answer:
         """Return what `ask(reader, go_on)` returns; it calls `go_on` now and then, which raises to break it off."""
         ended = threading.Event()
         try:
-            return await self.beside(lambda: self._run(ask, ended))
+            return await self._queries.run(lambda: self._run(ask, ended))
         except (HistoryError, SeriesError) as error:
             raise ProblemError(404 if isinstance(error, SeriesError) else 503, str(error)) from error
         except QueryBrokenOffError as error:
@@ -53,16 +70,6 @@ class Recorded:
             ) from error
         finally:
             ended.set()
-
-    async def beside(self, work: Callable[[], Answer]) -> Answer:
-        """Return what `work` returns, done in a thread; raises ProblemError when too much waits already."""
-        if self._waiting >= MOST_WAITING:
-            raise ProblemError(503, "too many queries are under way; try again", {"retry-after": "2"})
-        self._waiting += 1
-        try:
-            return await asyncio.get_running_loop().run_in_executor(self._threads, work)
-        finally:
-            self._waiting -= 1
 
     def _run(self, ask: Callable[[SeriesReader, Callable[[], None]], Answer], ended: threading.Event) -> Answer:
         until_s = time.monotonic() + LONGEST_QUERY_S
@@ -77,10 +84,6 @@ class Recorded:
 
     async def series(self, names: Sequence[str], from_s: float, to_s: float, points: int, *, packed: bool) -> bytes:
         """Return the series document, encoded; compressed when `packed`."""
-        try:
-            check_names(names)
-        except SeriesError as error:
-            raise ProblemError(404, str(error)) from error
 
         def ask(reader: SeriesReader, go_on: Callable[[], None]) -> bytes:
             found = decimated(reader, names, from_s, to_s, points, go_on)
