@@ -23,7 +23,7 @@ from daemon.model_release.loading import load_released
 from daemon.monitor.accounts import read_accounts
 from drivers import registry
 from drivers.clock import Clock
-from drivers.contract import DriverError
+from drivers.contract import Capability, DriverError
 from drivers.opcua.certificates import load_certificate
 from drivers.opcua.server.settings import Trusted, load_identity
 from models.errors import RefusedInputError
@@ -204,12 +204,16 @@ async def _cnc(configuration: Configuration, clock: Clock) -> str:
     finally:
         await cnc.close()
     vacant = [n for n in block.polled if sample.macros.get(n) is None and n != configuration.cnc.macros.valid_until]
-    if vacant:
+    if vacant and Capability.READ_MACROS not in cnc.cannot:
         raise DriverError(f"{cnc.identity}: macro variables are vacant: {vacant}; commissioning initialises them")
     if inhibit := _other_control(configuration, cnc.identity, block.echo(sample.macros).guard_version):
         raise DriverError(f"{cnc.identity}: {inhibit}")
     security = "encrypted" if cnc.security == "encrypted" else "NOT secure"
-    return f"{cnc.identity}, {security}, {sample.mode.value}/{sample.run.value}, O{sample.program}"
+    found = f"{cnc.identity}, {security}, {sample.mode.value}/{sample.run.value}, O{sample.program}"
+    recorded = (Capability.READ_MACROS, Capability.SPINDLE_SPEED)
+    return "; ".join(
+        [found, *(f"no {name.replace('_', ' ')}: {cnc.cannot[name]}" for name in recorded if name in cnc.cannot)]
+    )
 
 
 def _other_control(configuration: Configuration, identity: str, guard_version: float | None) -> str:

@@ -5,13 +5,16 @@ import subprocess
 import sys
 
 import pytest
+from scripted_machine import ScriptedNc
 
 from config.loader import load_configuration
 from config.machines import shipped_file
 from config.sample import sample_configuration
+from config.schema.cnc_drivers import MtconnectConfig
 from daemon.checkup.computer import OUR_PACKAGES, examine
 from daemon.checkup.machine import preflight
 from drivers.clock import SystemClock
+from drivers.sim.wires import mtconnect_agent
 
 
 def test_the_four_package_names_belong_to_this_project_alone():
@@ -47,3 +50,30 @@ async def test_a_line_whose_port_is_missing_is_named_once() -> None:
             assert finding.detail.startswith("port ") and not finding.passed
             return
     pytest.fail("no line was tried")
+
+
+@pytest.mark.wires
+async def test_of_a_device_with_several_spindles_it_says_that_no_speed_is_read(monkeypatch) -> None:
+    """And that of a control that is looked at only there are no macro variables, not that commissioning makes them."""
+    monkeypatch.setitem(mtconnect_agent.ITEMS, "second", mtconnect_agent.ITEMS["speed"])
+    configuration = load_configuration(shipped_file("cfrpmt.yaml"))
+    for item in (None, "speed"):
+        section = MtconnectConfig(url="http://127.0.0.1:1", spindle_speed_item=item)
+        cnc = configuration.cnc.model_copy(update={"driver": "mtconnect", "mtconnect": section})
+        agent = mtconnect_agent.SimulatedMtconnectAgent(ScriptedNc(), cnc, port=0)
+        await agent.start()
+        section = section.model_copy(update={"url": f"http://127.0.0.1:{agent.port}"})
+        cnc = cnc.model_copy(update={"mtconnect": section})
+        alone = configuration.model_copy(
+            update={
+                "cnc": cnc,
+                "displacements": None,
+                "temperatures": configuration.temperatures.model_copy(update={"lines": [], "sources": []}),
+            }
+        )
+        found = [each async for each in preflight(alone, SystemClock(), devices=True)][-1]
+        await agent.stop()
+        assert found.subject == "cnc" and found.passed, found.detail
+        assert "no read macros: an MTConnect agent is read and never written" in found.detail
+        told = "no spindle speed: the device has 2 data items of ROTARY_VELOCITY (speed, second): name" in found.detail
+        assert told == (item is None), found.detail
