@@ -170,6 +170,18 @@ async def test_a_server_that_refuses_loses_nothing_and_the_runner_says_which_key
         assert len(it.posts.asked) == 2
 
 
+async def test_a_fault_waits_no_longer_for_a_proxy_than_until_it_reaches_its_server(tmp_path: Path) -> None:
+    async with hall(tmp_path, interval_s=300.0) as it:
+        await it.rig.turn()
+        await it.look()
+        await fault(it.rig, "why")
+        it.posts.status = 502
+        assert await it.look() == [] and "it answers 502" in it.runner.cursor.problem
+        it.posts.status = 200
+        (said,) = await it.look(60.0)
+        assert said.endswith("why") and it.runner.cursor.problem == ""
+
+
 @pytest.mark.parametrize("status", [500, 504])
 async def test_who_has_a_message_and_does_not_say_so_gets_it_again_no_more_often_than_others(
     tmp_path: Path, status: int

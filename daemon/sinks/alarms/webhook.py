@@ -26,8 +26,9 @@ HINTS = {
     429: "it asks for fewer messages: raise `alarms.interval_s`",
 }
 """What the server answered -> what to do."""
-TAKEN_OR_NOT = (500, 502, 504)
-"""What a program answers that failed, perhaps after it had told people, or a proxy that waited for it in vain."""
+TAKEN_OR_NOT = (500, 504)
+"""What a program answers that failed, perhaps after it had told people, or a proxy that waited for it in vain; a proxy
+that did not reach it answers 502."""
 MOST_BYTES = 4096
 """So much of an answer is read."""
 
