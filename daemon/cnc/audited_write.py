@@ -26,8 +26,8 @@ Expected = Mapping[int, tuple[float | None, ...]]
 LOOK_LASTS_S = 0.02
 """What was looked at before the write was decided on counts for so long [s of the wall clock], and only if nothing
 else was asked of the control since."""
-LATE_LOOKS, LATE_LOOK_S = 20, 0.05
-"""A gateway acknowledges a value before it shows it: so often it is looked for, so far apart [s of the wall clock]."""
+LATE_S, LATE_LOOK_S = 1.0, 0.05
+"""A gateway acknowledges a value before it shows it: so long it is looked for, so far apart [s of the wall clock]."""
 
 
 class ForeignValueError(NotSentError):
@@ -128,13 +128,15 @@ class AuditedWriter:
     async def _read_back(self, write: MacroWrite, before: MacroValues) -> MacroValues:
         """Return what the control holds now; what still stands there from before may come in a moment."""
         numbers = tuple(dict.fromkeys((*(number for number, _ in write.macros), *write.also_read)))
-        for _ in range(LATE_LOOKS):
+        loop = asyncio.get_running_loop()
+        until_s = loop.time() + LATE_S  # the heartbeat and whoever asks wait meanwhile
+        while True:
             found = await self.cnc.read_macros(numbers)
             late = [each for each, value in write.macros if self.block.differences({each: (value,)}, found)]
-            if not late or any(each not in before or before[each] != found.get(each) for each in late):
-                break
+            gone = any(each not in before or before[each] != found.get(each) for each in late)
+            if not late or gone or loop.time() >= until_s:
+                return found
             await asyncio.sleep(LATE_LOOK_S)
-        return found
 
     async def _committed(self, intent: WriteId, commit_s: float) -> None:
         try:

@@ -176,6 +176,22 @@ async def test_a_value_that_is_not_kept_is_seen_in_the_read_back(desk):
     assert await session.poll() == [], "acknowledged: what the control holds is known now"
 
 
+async def test_a_value_that_is_not_kept_is_looked_for_as_long_however_slow_the_control_is(desk, monkeypatch):
+    session = desk.session()
+    await session.poll()
+    desk.nc.forgets = Z
+    read, looks = session.cnc.read_macros, []
+
+    async def slowly(numbers):
+        looks.append(numbers)
+        await asyncio.sleep(0.4)
+        return await read(numbers)
+
+    monkeypatch.setattr(session.cnc, "read_macros", slowly)
+    receipt = await desk.write(session, 4.0)
+    assert receipt.outcome is WriteOutcome.DIFFERS and len(looks) <= 5, "nothing else is done meanwhile"
+
+
 class LateMacros(ScriptedMacros):
     """What is written stands there a while later, as behind a gateway that answers from its memory."""
 
