@@ -318,9 +318,9 @@ def _refuse_the_daemons_reach(configuration: Configuration, repository: ReleaseR
 
 def _before(active: ReleaseRecord | None, records: list[ReleaseRecord]) -> int:
     """Return what was active before the model in force was released, so that going back again goes further back."""
-    if active is not None and active.action == "rollback":
-        came = (each for each in reversed(records) if (each.action, each.sha256) == ("release", active.sha256))
-        active = next(came, active)
+    by_number = {each.number: each for each in records}
+    while active is not None and active.action == "rollback":
+        active = by_number.get(int(active.source.removeprefix("release ")))
     if active is None or active.previous is None:
         raise ReleaseError("no earlier release is known to go back to; `toolpoint model list` shows what there is")
     return active.previous.number

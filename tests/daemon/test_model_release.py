@@ -183,6 +183,15 @@ def test_going_back_again_goes_further_back_and_never_to_what_was_gone_back_from
     assert rollback(configuration, person="ben").model_id == "ridge-1"
 
 
+def test_going_back_ends_with_the_first_release_though_its_model_was_released_twice(folder):
+    configuration = configured(folder)
+    for name in ("ridge-1", "ridge-2", "ridge-1"):
+        release(configuration, proposal(folder, model(name)), person="anna")
+    assert [rollback(configuration, person="ben").model_id for _ in range(2)] == ["ridge-2", "ridge-1"]
+    with pytest.raises(ReleaseError, match="no earlier release"):
+        rollback(configuration, person="ben")
+
+
 def refusal(folder: Path, path: Path, **changes: object) -> str:
     configuration = configured(folder, **changes)
     with pytest.raises(ReleaseError) as refused:
