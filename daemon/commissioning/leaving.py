@@ -19,12 +19,12 @@ RECONNECTS = 15
 """A lost link is tried so often before the machine is left as it is."""
 
 
-def set_aside(record_file: Path | None, error: DisprovedError | None) -> str:
+def set_aside(record_file: Path | None, error: BaseException) -> str:
     """Let a record of before count no more that says otherwise of this axis, or more than was seen of it now.
 
     Returns what a person is to know of it; empty when every record counts as before.
     """
-    if record_file is None or error is None:
+    if record_file is None or not isinstance(error, DisprovedError):
         return ""
     try:
         record = load_commissioning(record_file)

@@ -63,7 +63,7 @@ class Outcome:
     identity: str = ""
     guard_version: int | None = None
     moving: str = ""
-    """The axis that has been moved and is not proved yet."""
+    """The axis that is being moved and is not proved yet."""
     axes: dict[str, CommissionedAxis] = field(default_factory=dict)
 
 
@@ -117,17 +117,24 @@ class Commissioning:
             beside = [] if self._log is None else [self._log.follow()]
             await self._station.supervise(self._prove(), *beside)
         except BaseException as error:
-            disproof = _disproof(error, self._outcome.moving if self._plan.replaces else "")
-            if told := set_aside(self._configuration.compensation.commissioning_file, disproof):
-                self._event(told)
-                self._say(told)
+            self._set_aside(error)
             await SafeExit(self._station, self._movement, self._dialogue, self._event).leave(error)
+            self._set_aside(error)  # on the way back it was seen whether the guard had run meanwhile
             raise
         finally:
             await self._station.control.close()
         record = self._record()
         self._event(f"proved: {', '.join(record.axes)}")
         return record
+
+    def _set_aside(self, error: BaseException) -> None:
+        """Let the record of before count no more where it is disproved, or a person may have seen its axis go wrong."""
+        moving = self._outcome.moving if self._plan.replaces and self._station.moved else ""
+        if isinstance(error, asyncio.CancelledError) and moving:
+            error = DisprovedError("a person has broken off what was to prove it", moving)
+        if told := set_aside(self._configuration.compensation.commissioning_file, error):
+            self._event(told)
+            self._say(told)
 
     def _event(self, text: str) -> None:
         self._history.event("commissioning", text, self._plan.person)
@@ -230,7 +237,7 @@ class Commissioning:
         await self._agree(f"Is the instrument along {axis} in place, and the tool away from work and fixture?")
         taken = {Moment.BEFORE: await self._read(axis, Moment.BEFORE)}
         station.enable = [other == axis for other in station.axes]
-        self._outcome.moving = axis
+        self._outcome.moving, station.moved = axis, False
         await self._movement.move(index, offset_um)
         taken[Moment.AT_OFFSET] = await self._read(axis, Moment.AT_OFFSET)
         await self._movement.move(index, 0.0)
@@ -263,7 +270,7 @@ class Commissioning:
 
         taken: dict[Moment, Mapping[str, Reading]] = {Moment.BEFORE: await read(Moment.BEFORE)}
         station.enable = [other == axis for other in station.axes]
-        self._outcome.moving = axis
+        self._outcome.moving, station.moved = axis, False
         await self._movement.move(index, um_per_m)
         taken[Moment.AT_OFFSET] = await read(Moment.AT_OFFSET)
         await self._movement.move(index, 0.0)
@@ -316,13 +323,6 @@ class Commissioning:
             software=f"toolpoint {version('toolpoint')}",
             axes=outcome.axes,
         )
-
-
-def _disproof(error: BaseException, moving: str) -> DisprovedError | None:
-    """Return what lets the record of before count no more; `moving`: the axis that a person may have seen go wrong."""
-    if isinstance(error, asyncio.CancelledError) and moving:
-        return DisprovedError("a person has broken off what was to prove it", moving)
-    return error if isinstance(error, DisprovedError) else None
 
 
 def _login() -> str:

@@ -53,6 +53,8 @@ class Station:
         """On the way back to zero an alarm or a power cycle is no reason to stop: the values must still go to zero."""
         self.touched = False
         """An enable bit has been written, so the machine must be left in order."""
+        self.moved = False
+        """The guard has applied something since this was last set back."""
 
     async def connect(self) -> None:
         """Connect anew; raises DriverError."""
@@ -137,6 +139,7 @@ class Station:
         sample = session.sample
         assert sample is not None
         self.control.history.cnc_sample(sample)
+        self.moved = self.moved or not self.applied(np.zeros(len(self.axes)))
         self._refuse_state(sample)
         changed = self._ramp()
         bits = tuple(self.enable)

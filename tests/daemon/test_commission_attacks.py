@@ -150,6 +150,32 @@ async def test_a_record_of_before_counts_no_more_where_a_person_breaks_the_proof
     assert record_file.exists() == (not words) and words in person.text_said
 
 
+@pytest.mark.parametrize("guard_runs", [True, False])
+async def test_a_record_of_before_counts_on_where_the_proof_is_broken_off_before_the_guard_has_moved_anything(
+    bench, guard_runs
+):
+    bench.reset(program=STOPPED)
+    record_file = bench.directory / "record.json"
+    known = CommissionedAxis(sign=1, scale=1.0, written_um=5.0, measured_um=5.0)
+    save_commissioning(record_for(bench.configuration(), axes={"z": known}), record_file)
+    person = Obedient(bench)
+
+    def breaks_off(text):
+        if "The CNC holds z +" in text:
+            if guard_runs:
+                bench.call_guard()  # in the moment in which he presses Ctrl-C: no look has seen it yet
+            raise asyncio.CancelledError
+
+    def named(content):
+        content["compensation"]["commissioning_file"] = str(record_file)
+
+    person.on_say = breaks_off
+    with pytest.raises(asyncio.CancelledError):
+        await bench.commission(person, axes=("z",), change=named)
+    assert bench.at_rest()
+    assert record_file.exists() is not guard_runs and ("counts no more" in person.text_said) is guard_runs
+
+
 async def test_the_record_is_written_before_a_daemon_can_start(bench):
     """One that is started again and again beside the command would begin with the record of before."""
     refusals = []
