@@ -5,8 +5,8 @@ import math
 from config.schema.spindle_speed import SpindleSpeedConfig
 from models.records import CncSample, Phase
 
-RUN_UP_S = 10.0
-"""A spindle may take so long to come to its speed [s]."""
+LASTS_S = 10.0
+"""A spindle may take so long to come to its speed, and what is computed of the dynamics may change for so long [s]."""
 STANDS_RPM = 1.0
 
 
@@ -17,6 +17,8 @@ class TurningSpeed:
         self._tuning = tuning
         self._taken_rpm: float | None = None
         self._off_since_s = math.nan
+        self._as_taken = True
+        """It cut last with the speed that was taken."""
         self.cuts = False
         """It cuts now, and with the speed that was taken, or nobody says with which."""
         self.alarm = ""
@@ -40,23 +42,20 @@ class TurningSpeed:
         self.cuts = phase is Phase.CUTTING
         if taken_rpm is None or not self.cuts or math.isnan(actual_rpm):
             return
-        if abs(actual_rpm - taken_rpm) <= self._tuning.tolerance_rpm(taken_rpm):
-            self._off_since_s, self.alarm = math.nan, self._outgrown(taken_rpm, *stable_rpm)
+        self.cuts = abs(actual_rpm - taken_rpm) <= self._tuning.tolerance_rpm(taken_rpm)
+        if not self.cuts and actual_rpm <= STANDS_RPM:
             return
-        self.cuts = False
-        if actual_rpm <= STANDS_RPM:
-            return
-        if math.isnan(self._off_since_s):
+        why = self._outgrown(taken_rpm, *stable_rpm) if self.cuts else _turns_off(taken_rpm, actual_rpm)
+        if not why or self.cuts is not self._as_taken:
+            self._as_taken, self._off_since_s, self.alarm = self.cuts, math.nan, ""
+        if why and math.isnan(self._off_since_s):
             self._off_since_s = now_s
-        if not self.alarm and now_s - self._off_since_s >= RUN_UP_S:
-            self.alarm = (
-                f"the spindle turns at {actual_rpm:.0f} 1/min and the NC has taken {taken_rpm:.0f}: at that speed "
-                "nothing is known of this cut; set the override to 100 %, or see which S the program gives"
-            )
+        if not self.alarm and now_s - self._off_since_s >= LASTS_S:
+            self.alarm = why
 
     def _outgrown(self, taken_rpm: float, low_rpm: float, high_rpm: float) -> str:
         """Return why the speed that was taken is not one to cut at now, '' where it is: nothing changes in a cut."""
-        verified_rpm = self._tuning.tolerance_rpm(taken_rpm)
+        verified_rpm = 0.0 if self.alarm and self._as_taken else self._tuning.tolerance_rpm(taken_rpm)
         if low_rpm - verified_rpm <= taken_rpm <= high_rpm + verified_rpm:
             return ""
         return (
@@ -64,3 +63,10 @@ class TurningSpeed:
             f"between {low_rpm:.0f} and {high_rpm:.0f}: call the speed program twice before each pass, some seconds "
             "apart, or make passes shorter"
         )
+
+
+def _turns_off(taken_rpm: float, actual_rpm: float) -> str:
+    return (
+        f"the spindle turns at {actual_rpm:.0f} 1/min and the NC has taken {taken_rpm:.0f}: at that speed "
+        "nothing is known of this cut; set the override to 100 %, or see which S the program gives"
+    )

@@ -1,14 +1,19 @@
 """The speed at which the spindle turns: an override or another S word makes of the taken speed one that was not cut."""
 
+import itertools
 import math
 from pathlib import Path
 from typing import Any
 
 import pytest
 from control_rig import running
+from history_records import cnc_sample
+from speed_machine import speed_machine
 from speed_rig import CUT, SAFE, SpeedRig
 
 from daemon.history.reader import HistoryReader
+from daemon.spindle_speed.turning import TurningSpeed
+from models.records import Phase
 
 WARM, HOT = 36.0, 46.0
 
@@ -76,10 +81,31 @@ async def test_a_cut_at_a_speed_that_the_warming_spindle_has_outgrown_is_told(be
     bench.degc = HOT
     await bench.pass_by(90.0, CUT)
     assert bench.call()[0] == taken_rpm
-    await bench.pass_by(10.0, CUT)
+    await bench.pass_by(15.0, CUT)
     assert f"the spindle cuts at {taken_rpm:.0f} 1/min" in bench.picture()["alarm"]
     for _ in range(5):
         await bench.pass_by(25.0, SAFE)
         bench.call()
         await bench.pass_by(3.0, CUT)
     assert bench.picture()["alarm"] == ""
+
+
+def test_an_outgrown_speed_is_told_where_that_lasts_and_once_however_the_pocket_trembles(tmp_path: Path) -> None:
+    tuning = speed_machine(tmp_path).spindle_speed
+    assert tuning is not None
+    turning, told = TurningSpeed(tuning), []
+    off_rpm = tuning.tolerance_rpm(9000.0) + 1.0
+    lows = [9000.0 + off_rpm] * 3 + [8000.0] * 10 + [9000.0 + off_rpm] * 15
+    lows += [9000.0 + off_rpm - 2.0 * (each % 2) for each in range(40)] + [9000.0] * 2
+    for second, low_rpm in enumerate(lows):
+        sample = cnc_sample(1.7e9 + second, spindle_speed_rpm=9000.0)
+        turning.update(9000.0, sample, Phase.CUTTING, (low_rpm, 10_000.0))
+        told.append(bool(turning.alarm))
+    assert not any(told[:13]), "a choice of a moment"
+    assert told[-1] is False and sum(a != b for a, b in itertools.pairwise(told)) == 2
+    for second in range(100, 120):
+        turning.update(9000.0, cnc_sample(1.7e9 + second, spindle_speed_rpm=9000.0), Phase.CUTTING, (9200.0, 1e4))
+    assert "the spindle cuts at 9000" in turning.alarm
+    for second in range(120, 140):
+        turning.update(9000.0, cnc_sample(1.7e9 + second, spindle_speed_rpm=8000.0), Phase.CUTTING, (9200.0, 1e4))
+    assert "the spindle turns at 8000" in turning.alarm
