@@ -24,13 +24,7 @@ class TurningSpeed:
         self.alarm = ""
         """Why what is known of the speed that was taken does not hold for the cut, '' when it does."""
 
-    def update(
-        self,
-        taken_rpm: float | None,
-        sample: CncSample,
-        phase: Phase,
-        stable_rpm: tuple[float, float] = (0.0, math.inf),
-    ) -> None:
+    def update(self, taken_rpm: float | None, sample: CncSample, phase: Phase, stable_rpm: tuple[float, float]) -> None:
         """Take a poll; `taken_rpm`: what the NC has taken for the operation under way [1/min], None where nothing.
 
         The alarm lasts until the spindle cuts at the speed that was taken, or another one is taken. `stable_rpm`: the
@@ -45,7 +39,12 @@ class TurningSpeed:
         self.cuts = abs(actual_rpm - taken_rpm) <= self._tuning.tolerance_rpm(taken_rpm)
         if not self.cuts and actual_rpm <= STANDS_RPM:
             return
-        why = self._outgrown(taken_rpm, *stable_rpm) if self.cuts else _turns_off(taken_rpm, actual_rpm)
+        why = self._outgrown(taken_rpm, *stable_rpm)
+        if not self.cuts:
+            why = (
+                f"the spindle turns at {actual_rpm:.0f} 1/min and the NC has taken {taken_rpm:.0f}: at that speed "
+                "nothing is known of this cut; set the override to 100 %, or see which S the program gives"
+            )
         if not why or self.cuts is not self._as_taken:
             self._as_taken, self._off_since_s, self.alarm = self.cuts, math.nan, ""
         if why and math.isnan(self._off_since_s):
@@ -63,10 +62,3 @@ class TurningSpeed:
             f"between {low_rpm:.0f} and {high_rpm:.0f}: call the speed program twice before each pass, some seconds "
             "apart, or make passes shorter"
         )
-
-
-def _turns_off(taken_rpm: float, actual_rpm: float) -> str:
-    return (
-        f"the spindle turns at {actual_rpm:.0f} 1/min and the NC has taken {taken_rpm:.0f}: at that speed "
-        "nothing is known of this cut; set the override to 100 %, or see which S the program gives"
-    )
