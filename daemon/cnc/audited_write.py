@@ -22,7 +22,6 @@ Groups = tuple[tuple[tuple[int, float], ...], ...]
 Expected = Mapping[int, tuple[float | None, ...]]
 """Per macro what may stand in it; None: it may be vacant."""
 
-
 LOOK_LASTS_S = 0.02
 """What was looked at before the write was decided on counts for so long [s of the wall clock], and only if nothing
 else was asked of the control since."""
@@ -128,13 +127,13 @@ class AuditedWriter:
     async def _read_back(self, write: MacroWrite, before: MacroValues) -> MacroValues:
         """Return what the control holds now; what still stands there from before may come in a moment."""
         numbers = tuple(dict.fromkeys((*(number for number, _ in write.macros), *write.also_read)))
-        loop = asyncio.get_running_loop()
-        until_s = loop.time() + LATE_S  # the heartbeat and whoever asks wait meanwhile
+        now_s = asyncio.get_running_loop().time
+        until_s = now_s() + LATE_S  # the heartbeat and whoever asks wait meanwhile
         while True:
             found = await self.cnc.read_macros(numbers)
             late = [each for each, value in write.macros if self.block.differences({each: (value,)}, found)]
             gone = any(each not in before or before[each] != found.get(each) for each in late)
-            if not late or gone or loop.time() >= until_s:
+            if not late or gone or now_s() >= until_s:
                 return found
             await asyncio.sleep(LATE_LOOK_S)
 
@@ -164,13 +163,7 @@ class AuditedWriter:
         return found
 
     def _conclude(
-        self,
-        write: MacroWrite,
-        intent: WriteId,
-        outcome: WriteOutcome,
-        detail: str,
-        found: MacroValues,
-        trace: Trace,
+        self, write: MacroWrite, intent: WriteId, outcome: WriteOutcome, detail: str, found: MacroValues, trace: Trace
     ) -> Receipt:
         receipt = Receipt(
             sequence=write.sequence,
