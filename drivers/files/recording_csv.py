@@ -280,7 +280,8 @@ def _numbers(
 ) -> FloatArray:
     try:
         numbers = np.array([float(fields[i]) for i in wanted])
-        if decimal != "," and (np.abs(numbers) <= LARGEST).all():
+        told = missing == MISSING or missing.isdisjoint(fields[i].strip() for i in wanted)  # a code may be a number
+        if told and decimal != "," and (np.abs(numbers) <= LARGEST).all():
             return numbers
     except ValueError:
         pass

@@ -207,6 +207,15 @@ def test_a_map_whose_times_cannot_be_is_refused_by_key(tmp_path: Path, keys: dic
     assert sentence in str(raised.value)
 
 
+@pytest.mark.parametrize("code", ["-9999", "99.9", "1e30", "OL"])
+def test_what_the_map_names_as_missing_is_that_also_where_it_is_a_number(tmp_path: Path, code: str) -> None:
+    read = read_recording(
+        written(tmp_path, GOOD + f"30,1250, {code},20.5,{code}\n"), MAP.model_copy(update={"missing": [code]})
+    )
+    np.testing.assert_array_equal(read.temperatures_degc[-1], [20.5, np.nan])
+    np.testing.assert_array_equal(read.displacements_um[-1], [np.nan])
+
+
 def test_decimal_commas_in_quoted_fields_need_the_map(tmp_path: Path) -> None:
     content = 't,t1,c1\n0,"20,5","-1,25"\n'
     keys = {"time": "t", "temperatures": ["t1"], "displacements": ["c1"]}
