@@ -503,3 +503,23 @@ async def test_the_command_shows_the_fault_that_it_acknowledges_and_asks(rig, be
     assert (await told(typed="y\n")).exit_code == 0 and rig.state != "FAULT"
     serving.cancel()
     await asyncio.gather(serving, return_exceptions=True)
+
+
+async def test_a_fault_of_a_daemon_that_the_upgrade_has_not_restarted_yet_is_acknowledged(tmp_path):
+    """That of 0.1.0 tells no number of its FAULT, and takes none."""
+    path, asked = tmp_path / "s", []
+
+    async def earlier(request, person):
+        asked.append(request)
+        if request["command"] == "status":
+            return {"output": {"state": "FAULT", "reason": "macro variable #502 holds 7"}}
+        return {"decided": True, "state": "HOLD", "reason": "acknowledged by a person", "alarm": ""}
+
+    serving = asyncio.create_task(ControlSocket(path, None, earlier).run())
+    while not path.exists():
+        await asyncio.sleep(0.01)
+    done = await asyncio.to_thread(CliRunner().invoke, main, ["acknowledge", "--socket", str(path)], input="y\n")
+    serving.cancel()
+    await asyncio.gather(serving, return_exceptions=True)
+    assert done.exit_code == 0 and "holds 7" in done.output and "HOLD" in done.output, done.output
+    assert asked[-1] == {"command": "acknowledge"}

@@ -142,10 +142,12 @@ def acknowledge(config_path: Path, socket_path: Path | None, fault: int | None) 
     with daemon_at(config_path, socket_path) as client:
         if fault is None:
             output = client.ask("status")["output"]
-            fault = output["fault"]
+            fault = output.get("fault")  # one of an earlier version, until it is restarted, knows no numbers
             click.echo(f"{output['state']}: {output['reason']}")
             if output["state"] != "FAULT":
                 return
-            click.confirm(f"Acknowledge FAULT {fault}, because this is gone?", abort=True)
-        outcome = client.ask("acknowledge", fault=fault)
+            click.confirm(
+                f"Acknowledge {'it' if fault is None else f'FAULT {fault}'}, because this is gone?", abort=True
+            )
+        outcome = client.ask("acknowledge", **({} if fault is None else {"fault": fault}))
     _tell(outcome)
