@@ -104,7 +104,7 @@ class FileTail:
             at = end
         if len(data) - at > self._max_line_bytes or (self._skipping and at < len(data)):
             self._skipping = True
-            at = len(data)
+            at = len(data) - len(data) % len(newline)
         self._offset += at
         self._last = (self._last + data[:at])[-HEAD_BYTES:]
         return tuple(lines), tuple(overlong)

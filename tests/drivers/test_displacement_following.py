@@ -241,3 +241,17 @@ async def test_a_share_that_hangs_is_reported_and_does_not_stop_anything(
         assert "no answer for 0.05 s" in (follower.source.last_problem or "")
         released.set()
         await follower.until(1)
+
+
+def test_a_line_that_is_too_long_costs_a_file_in_utf_16_that_line_alone(tmp_path: Path) -> None:
+    """The logger's program may have written half of a character when it is looked at."""
+    path, content = tmp_path / "log.csv", b"\xff\xfe" + f"{'1;' * 100}\n2;3\n4;5\n".encode("utf-16-le")
+    tail, found, overlong = FileTail(path, 100), [], []
+    for size in range(1, len(content) + 1, 8):
+        path.write_bytes(content[:size])
+        look = tail.look()
+        found += [line.decode("utf-16-le") for _, line in look.lines]
+        overlong += look.overlong
+    path.write_bytes(content)
+    found += [line.decode("utf-16-le") for _, line in tail.look().lines]
+    assert (found, overlong) == (["2;3\n", "4;5\n"], [1])
