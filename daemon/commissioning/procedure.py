@@ -90,12 +90,8 @@ class Commissioning:
         self._history = history
         self._today = today
         self._log = log
-        self._movement = Movement(
-            station,
-            dialogue,
-            patience_s=plan.patience_s,
-            version_macro=configuration.cnc.macros.echo_guard_version,
-        )
+        version_macro = configuration.cnc.macros.echo_guard_version
+        self._movement = Movement(station, dialogue, patience_s=plan.patience_s, version_macro=version_macro)
         self._outcome = Outcome()
 
     async def run(self) -> CommissioningRecord | None:
@@ -280,13 +276,8 @@ class Commissioning:
         return proved.model_copy(update={"slope": seen})
 
     def _judged(self, axis: str, written_um: float, taken: Mapping[Moment, Mapping[str, Reading]]) -> CommissionedAxis:
-        found = judge(
-            axis,
-            written_um,
-            taken,
-            accept_reversed=axis in self._plan.accept_reversed,
-            accept_scale=axis in self._plan.accept_scale,
-        )
+        turned, scaled = axis in self._plan.accept_reversed, axis in self._plan.accept_scale
+        found = judge(axis, written_um, taken, accept_reversed=turned, accept_scale=scaled)
         self._say(f"Axis {axis}: {_in_words(found)}")
         return found
 
