@@ -111,7 +111,7 @@ class MeasuredByNc:
     @property
     def _guard_between(self) -> bool:
         """What the program measured was measured with another offset than the one that is applied now."""
-        return self._polled is not None and 0.0 <= self._polled[0] - self._moved_s < GUARD_BETWEEN_S
+        return self._polled is not None and abs(self._polled[0] - self._moved_s) < GUARD_BETWEEN_S
 
     @property
     def waiting(self) -> bool:
