@@ -34,6 +34,7 @@ def complete_file(path: Path) -> Iterator[Path]:
     """Give a temporary path; what is written there becomes `path` when all went well."""
     partial = path.with_name(path.name + ".partial")
     try:
+        partial.unlink(missing_ok=True)  # a link that was put there is not followed
         yield partial
         partial.replace(path)
     except OSError as error:

@@ -19,7 +19,7 @@ from config.schema.service import HistoryConfig
 from daemon.cli import main
 from daemon.cli.operate.history_view import print_rows, view
 from daemon.history import HistoryReader, HistoryWriter
-from daemon.history.export import write_parquet
+from daemon.history.export import complete_file, write_parquet
 from daemon.history.tables import Table
 from models.quality import Reason
 from models.records import WriteOutcome
@@ -306,3 +306,13 @@ class TestHistory:
         content = json.loads(run("history", "--store", path, "--json", "-").stdout)
         writer.close()
         assert content["kinds"]["events"]["rows"] == 1
+
+
+def test_a_link_in_the_place_of_the_unfinished_file_is_not_followed(tmp_path: Path) -> None:
+    """Root exports into a folder of somebody else, who knows the name."""
+    (tmp_path / "of_root").write_text("left as it is")
+    (tmp_path / "day.csv.partial").symlink_to(tmp_path / "of_root")
+    with complete_file(tmp_path / "day.csv") as partial:
+        partial.write_text("new")
+    assert (tmp_path / "of_root").read_text() == "left as it is"
+    assert (tmp_path / "day.csv").read_text() == "new" and not (tmp_path / "day.csv").is_symlink()
