@@ -33,8 +33,8 @@ class TooManyWrongError(WrongPasswordError):
 class Passwords:
     """Checks passwords against the hashes of the accounts, and counts the wrong ones.
 
-    An account's own people are not kept out by others who guess: where it has logged in before, only what is wrong from
-    there counts.
+    An account's own people are not kept out by others who guess: where it has logged in before, only what is wrong for
+    it from there counts. One address may be that of many: of a gateway, or of a computer with a client's old password.
     """
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
@@ -49,9 +49,9 @@ class Passwords:
 
     async def check(self, accounts: Mapping[str, Account], name: str, password: str, address: str) -> Account:
         """Return the account whose password this is; raises WrongPasswordError, or TooManyWrongError."""
-        keys = [f"address {address}"]
-        if (name, address) not in self._known:
-            keys.append(f"account {name[:MOST_NAME]}")
+        keys = [f"address {address}", f"account {name[:MOST_NAME]}"]
+        if (name, address) in self._known:
+            keys = [f"address {address}, account {name}"]
         self._refuse_guessing(keys)
         async with self._one_at_a_time:
             self._refuse_guessing(keys)  # those before it in the queue may have been wrong

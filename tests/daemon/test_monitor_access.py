@@ -215,6 +215,21 @@ async def test_who_guesses_elsewhere_keeps_nobody_out_where_he_has_logged_in_bef
     assert await tried(PASSWORD, "her own") == 200 and await tried(PASSWORD, "a new one") == 200
 
 
+async def test_a_client_with_an_old_password_keeps_nobody_else_of_its_address_out(tmp_path):
+    """Behind a gateway or a proxy all have one address, and a program asks again every few seconds."""
+    path, now = accounts_file(tmp_path, anna="viewer", otto="viewer"), [0.0]
+    found = Access(
+        accounts=Accounts(path), session_s=7200.0, secure=False, report=lambda *_: None, now_s=lambda: now[0]
+    )
+    await found.login("anna", PASSWORD, "the gateway")
+    for _ in range(5):
+        with pytest.raises(ProblemError):
+            await found.login("otto", "wrong", "the gateway")
+    await found.login("anna", PASSWORD, "the gateway")
+    with pytest.raises(ProblemError, match="too many"):
+        await found.login("otto", PASSWORD, "the gateway")
+
+
 async def test_a_live_stream_of_http_basic_ends_with_its_account(tmp_path):
     path = accounts_file(tmp_path, anna="viewer")
     async with monitor(tmp_path, users=path) as bench:
