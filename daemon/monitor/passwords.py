@@ -51,7 +51,7 @@ class Passwords:
         """Return the account whose password this is; raises WrongPasswordError, or TooManyWrongError."""
         keys = [f"address {address}", f"account {name[:MOST_NAME]}"]
         if (name, address) in self._known:
-            keys = [f"address {address}, account {name}"]
+            keys = [f"{address} {name}"]
         self._refuse_guessing(keys)
         async with self._one_at_a_time:
             self._refuse_guessing(keys)  # those before it in the queue may have been wrong
