@@ -117,6 +117,26 @@ def test_a_server_that_examines_a_mail_first_may_answer_late_and_one_that_never_
         assert not isinstance(refused.value, UnansweredError), "it said that it does not take it"
 
 
+@pytest.mark.parametrize(("begun", "kind"), [(b"", SinkError), (b"354 go on\r\n", UnansweredError)])
+def test_who_hangs_up_before_he_wants_the_message_has_not_got_it(begun: bytes, kind: type[SinkError]) -> None:
+    def serve(listener: socket.socket) -> None:
+        peer, _ = listener.accept()
+        with peer, peer.makefile("rb") as lines:
+            peer.sendall(b"220 ready\r\n")
+            while not (line := lines.readline()).upper().startswith(b"DATA"):
+                assert line
+                peer.sendall(b"250 ok\r\n")
+            peer.sendall(begun)
+            while begun and lines.readline() not in (b".\r\n", b""):
+                pass
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        threading.Thread(target=serve, args=(listener,), daemon=True).start()
+        with pytest.raises(SinkError) as raised:
+            make_messenger(mail_sink(listener.getsockname()[1])).send(MESSAGE)
+    assert type(raised.value) is kind, raised.value
+
+
 @pytest.mark.parametrize("ending", ["\r\n", "\n", "\r", "\u2028", "\x0b", "\x1b[2J"])
 def test_no_text_of_the_machine_becomes_a_header_or_a_line_of_its_own(ending: str) -> None:
     """Labels, links and reasons come from files and devices of others."""

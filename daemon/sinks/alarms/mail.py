@@ -19,7 +19,7 @@ from daemon.sinks.vouching import tls_context, unvouched
 
 WHOLE_TIMES = 6
 """All of it may take so many times as long as one answer."""
-READY = 220
+READY, GO_ON = 220, 354
 FOR_GOOD = 500
 """Answers below this may be another one later: greylisting, a full mailbox."""
 MOST_BYTES = 1 << 16
@@ -98,13 +98,7 @@ class _Client(smtplib.SMTP):
         assert self.sock is not None
         wait_s = self.sock.gettimeout()
         self.sock.settimeout(None)
-        self.unanswered = True
-        try:
-            said = super().data(msg)
-        except smtplib.SMTPResponseException:
-            self.unanswered = False
-            raise
-        self.unanswered = False
+        said = super().data(msg)
         self.sock.settimeout(wait_s)
         return said
 
@@ -112,7 +106,9 @@ class _Client(smtplib.SMTP):
         """Return code and words of an answer."""
         if self.file is None:
             self.file = _Answers(self.sock.makefile("rb"))  # type: ignore[union-attr] # it is connected
-        return super().getreply()
+        code, said = super().getreply()
+        self.unanswered = code == GO_ON
+        return code, said
 
 
 class _Answers:
