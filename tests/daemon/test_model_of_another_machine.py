@@ -45,7 +45,7 @@ def test_the_model_of_another_machine_needs_a_person_s_word(folder: Path) -> Non
     found = load_released(configuration, STRANGER)
     assert found.model is not None and found.model.model_id == "other"
     rollback(configuration, person="anna")
-    assert rollback(configuration, person="anna").trained_on == "mill 7"
+    assert rollback(configuration, person="anna", to=2).trained_on == "mill 7"
     assert load_released(configuration, STRANGER).model is not None
 
 

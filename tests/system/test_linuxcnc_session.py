@@ -329,7 +329,10 @@ async def test_a_restart_of_linuxcnc_stops_everything_until_a_person_acknowledge
     assert status["reference"] is None and "switched off and on" in status["reference_ended"]
     assert await session.guard() is GuardStatus.DISABLED
     assert await session.moved_um() == pytest.approx(before, abs=1e-3)
-    await session.ask("acknowledge", fault=status["output"]["fault"])
+    newest = (await session.state("FAULT"))["output"][
+        "fault"
+    ]  # another number when more of the block was seen to differ
+    await session.ask("acknowledge", fault=newest)
     await session.wait(lambda status: status["output"]["state"] != "FAULT")
     await session.ask("enable")  # where LinuxCNC took so long to start that it was held for too long
     await session.linuxcnc.mdi("o<toolpoint> call [2] [1]")

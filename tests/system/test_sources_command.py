@@ -117,7 +117,7 @@ def test_the_demo_compensates_with_its_sensors_on_another_wire() -> None:
     )
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
-    assert result["cycles"]["expected"] >= 357
+    assert result["cycles"]["expected"] >= 350, "120 of each of three parts, but for what a start takes"
     assert result["error_um"]["z"]["verdict"] == "passed"
 
 

@@ -110,7 +110,7 @@ def _methods() -> dict[str, str]:
     return {path: ", ".join(sorted(methods)) for path, methods in taken.items()}
 
 
-def _only_known(request: Request) -> None:
+async def _only_known(request: Request) -> None:
     """Raise ProblemError for a query parameter that the route does not take: a mistyped one is not passed over."""
     known = {each.alias for each in request.scope["route"].dependant.query_params}
     if unknown := next((name for name in request.query_params if name not in known), None):
