@@ -5,7 +5,6 @@ import hashlib
 import os
 import stat
 from pathlib import Path
-from typing import IO
 
 LARGEST_FILE = 64 * 2**20
 """No model, record, key or certificate is larger [byte]."""
@@ -63,9 +62,9 @@ def sha256_of(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def sha256_of_stream(stream: IO[bytes]) -> str:
-    """Return the digest of what is left in a stream."""
-    digest = hashlib.sha256()
-    while chunk := stream.read(2**20):
-        digest.update(chunk)
-    return digest.hexdigest()
+def stamp_of(*paths: Path) -> tuple[tuple[int, int, int], ...]:
+    """Return what changes when one of the files is replaced or written; empty where one cannot be looked at."""
+    try:
+        return tuple((each.st_ino, each.st_size, each.st_mtime_ns) for each in (path.stat() for path in paths))
+    except OSError:
+        return ()

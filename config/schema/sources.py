@@ -6,6 +6,7 @@ line in `drivers/registry.py`.
 """
 
 import math
+from abc import abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
@@ -29,31 +30,31 @@ class Measured(Section):
     """Unit of the value."""
 
     @property
+    @abstractmethod
     def key(self) -> int | str:
         """What tells it from the other inputs of its source."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def in_words(self) -> str:
         """What it is, for a sentence."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def span(self) -> tuple[float, float]:
         """Lowest and highest possible value."""
-        raise NotImplementedError
 
+    @abstractmethod
     def is_open(self, number: float) -> bool:
         """Return whether a number as read says that nothing is measured."""
-        raise NotImplementedError
 
+    @abstractmethod
     def value(self, number: float) -> float:
         """Return the value of a number as read."""
-        raise NotImplementedError
 
+    @abstractmethod
     def number(self, value: float) -> float:
         """Return what is read at a value; NaN at one that is none."""
-        raise NotImplementedError
 
 
 class SourceSensorConfig(Measured):

@@ -1,5 +1,6 @@
 """Makes a back-up, also while the daemon writes its store."""
 
+import hashlib
 import io
 import os
 import sqlite3
@@ -11,9 +12,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import BinaryIO
 
-from config.files import read_whole, sha256_of_stream
+from config.files import read_whole
 from config.schema import Configuration
 from config.schema.source_drivers import SourceEntry
 from config.signing import SIGNATURE_SUFFIX, SigningError, TrustedKeys, signature_beside
@@ -105,13 +105,13 @@ class Source:
     copy: Path | None = None
     content: bytes = b""
 
-    def open(self) -> BinaryIO:
+    def open(self) -> io.BufferedReader | io.BytesIO:
         """Return the file's content as a stream."""
         return self.copy.open("rb") if self.copy is not None else io.BytesIO(self.content)
 
     def described(self) -> BackedUpFile:
         with self.open() as stream:
-            digest = sha256_of_stream(stream)
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
         size_bytes = self.copy.stat().st_size if self.copy is not None else len(self.content)
         return BackedUpFile(name=self.name, sha256=digest, size_bytes=size_bytes, came_from=str(self.came_from))
 

@@ -12,6 +12,7 @@ compared and acknowledged.
 
 import dataclasses
 import filecmp
+import hashlib
 import itertools
 import json
 import os
@@ -25,7 +26,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from config.files import sha256_of_stream
 from config.loader import ConfigurationError, load_configuration, parse_yaml_model, with_absolute_paths
 from config.records.commissioning import CommissioningError, load_commissioning
 from config.records.release_record import ReleaseRecordError, load_release_record
@@ -255,7 +255,7 @@ def _check_releases(folder: Path, manifest: Manifest) -> None:
         except ReleaseRecordError as error:
             raise BackupError(f"a release in the back-up cannot be read: {error}") from error
         with (folder / name).with_name("model.json").open("rb") as file:
-            if sha256_of_stream(file) != record.sha256:
+            if hashlib.file_digest(file, "sha256").hexdigest() != record.sha256:
                 raise BackupError(f"{name}: the model beside it is not the one that {record.person} released")
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from argon2 import PasswordHasher
 from argon2.exceptions import Argon2Error, InvalidHashError
 
-from config.files import read_whole, write_whole
+from config.files import read_whole, stamp_of, write_whole
 from models.errors import RefusedInputError
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,63}")
@@ -119,19 +119,14 @@ class Accounts:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._seen: tuple[int, int, int] | None = None
+        self._seen: object = None
         self._accounts: dict[str, Account] = {}
         self.problem = ""
         """Why nobody can log in, '' when the file is good."""
 
     def now(self) -> Mapping[str, Account]:
         """Return the accounts as the file is now; none while it cannot be used."""
-        try:
-            found = self.path.stat()
-            seen = (found.st_ino, found.st_size, found.st_mtime_ns)
-        except OSError:
-            seen = None
-        if seen is None or seen != self._seen:
+        if not (seen := stamp_of(self.path)) or seen != self._seen:
             self._seen = seen
             try:
                 self._accounts, self.problem = read_accounts(self.path), ""

@@ -1,12 +1,11 @@
 """Files are written whole or not at all."""
 
-import io
 import os
 from pathlib import Path
 
 import pytest
 
-from config.files import sha256_of, sha256_of_stream, write_whole
+from config.files import sha256_of, stamp_of, write_whole
 
 EMPTY = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
 
@@ -61,7 +60,18 @@ def test_nobody_else_can_open_a_private_file_before_it_is_one(tmp_path: Path, mo
     assert seen == [0o600]
 
 
-def test_digests() -> None:
-    assert sha256_of(b"") == sha256_of_stream(io.BytesIO()) == EMPTY
-    content = bytes(range(256)) * 10_000
-    assert sha256_of(content) == sha256_of_stream(io.BytesIO(content))
+def test_the_digest_of_nothing_is_the_published_one() -> None:
+    assert sha256_of(b"") == EMPTY
+
+
+def test_a_stamp_tells_that_a_file_was_replaced_by_one_of_the_same_size_and_time(tmp_path: Path) -> None:
+    key, certificate, new = tmp_path / "key", tmp_path / "certificate", tmp_path / "new"
+    for each in (key, certificate, new):
+        each.write_text("12345")
+        os.utime(each, (1e9, 1e9))
+    before = stamp_of(certificate, key)
+    assert before == stamp_of(certificate, key)
+    new.replace(certificate)
+    assert stamp_of(certificate, key) not in ((), before)
+    key.unlink()
+    assert stamp_of(certificate, key) == ()

@@ -10,8 +10,8 @@ import structlog
 from asyncua import ua
 from asyncua.ua.status_codes import StatusCodes
 
+from config.files import stamp_of
 from config.schema import Configuration
-from config.schema.service import OpcUaServerConfig
 from daemon.history.writer import HistoryWriter
 from daemon.monitor.accounts import Accounts, Role
 from daemon.monitor.commands import CommandDesk
@@ -108,7 +108,7 @@ class OpcUaService:
         self, configuration: Configuration, board: SnapshotBoard, desk: CommandDesk, history: HistoryWriter
     ) -> None:
         self._configuration, self._board, self._desk, self._history = configuration, board, desk, history
-        self._seen: tuple[int, ...] = ()
+        self._seen: object = None
 
     async def serve(self, on_serving: Callable[[], None] = lambda: None) -> None:
         """Serve until cancelled; raises OSError when port, certificate or key cannot be used."""
@@ -151,14 +151,14 @@ class OpcUaService:
     def _identity(self) -> Identity:
         section = self._configuration.opcua_server
         assert section is not None
-        self._seen = _stamps(section)
+        self._seen = stamp_of(section.certificate, section.private_key)
         return load_identity(section.certificate, section.private_key)
 
     async def _renew(self, server: TagServer) -> None:
         """Take up certificate and key that were replaced on the disk; what does not fit leaves the old ones in use."""
         section = self._configuration.opcua_server
         assert section is not None
-        if _stamps(section) == self._seen:
+        if stamp_of(section.certificate, section.private_key) == self._seen:
             return
         try:
             identity = await asyncio.to_thread(self._identity)
@@ -177,11 +177,3 @@ class OpcUaService:
             await server.converse(connection, on_session)
 
         return serve
-
-
-def _stamps(section: OpcUaServerConfig) -> tuple[int, ...]:
-    """Return what changes when certificate or key are replaced."""
-    try:
-        return tuple(path.stat().st_mtime_ns for path in (section.certificate, section.private_key))
-    except OSError:
-        return ()

@@ -13,7 +13,7 @@ from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
-from config.files import read_whole
+from config.files import read_whole, stamp_of
 from daemon.monitor.connections import BoundedConnections, Conversation
 from daemon.monitor.listening import listening
 from daemon.monitor.web.gate import CLOSE, HEADERS, SEND_S
@@ -126,7 +126,7 @@ class Certificate:
     def __init__(self, certificate: Path, key: Path) -> None:
         """Raise OSError where the files cannot be read or are no certificate and key."""
         self._certificate, self._key = certificate, key
-        self._seen = self._stamp()
+        self._seen = stamp_of(certificate, key)
         self.context = self._loaded()
 
     def _loaded(self) -> ssl.SSLContext:
@@ -137,17 +137,11 @@ class Certificate:
         context.load_cert_chain(self._certificate, self._key, password="")  # of an encrypted key nobody is asked
         return context
 
-    def _stamp(self) -> tuple[int, int] | None:
-        try:
-            return self._certificate.stat().st_mtime_ns, self._key.stat().st_mtime_ns
-        except OSError:
-            return None
-
     def now(self) -> ssl.SSLContext:
         """Return the context for a new connection."""
         try:
-            if (stamp := self._stamp()) != self._seen:
-                self._seen = stamp
+            if (seen := stamp_of(self._certificate, self._key)) != self._seen:
+                self._seen = seen
                 self.context = self._loaded()
         except OSError as error:
             log.warning("monitor.certificate_not_taken", file=str(self._certificate), problem=str(error))
