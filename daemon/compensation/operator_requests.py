@@ -50,9 +50,10 @@ class Requests:
 
     def _inhibit(self, request: OperatorRequest, not_begun: str) -> Inhibit | None:
         if request.acknowledge not in (0, newest := self._journal.number):
+            if (fault := self._journal.fault) is None:
+                return Inhibit(code=InhibitCode.FAULT, text="there is no FAULT that is not acknowledged")
             text = f"the newest is FAULT {newest}, not {request.acknowledge}"
-            remedy = f"look at it before you acknowledge it: {self._journal.fault or 'it is acknowledged'}"
-            return Inhibit(code=InhibitCode.FAULT, text=text, remedy=remedy)
+            return Inhibit(code=InhibitCode.FAULT, text=text, remedy=f"look at it before you acknowledge it: {fault}")
         return self._interlocks.request_inhibit(request, self._link.session, not_begun=not_begun)
 
     def put_reference(self, person: str, decided: Decided = lambda _refusal: None) -> str:

@@ -349,6 +349,8 @@ def test_roughness_of_a_profile_and_its_picture(tmp_path: Path) -> None:
     assert run("roughness", path).stderr.splitlines()[0].startswith("4 mm: Ra 0.63")
     path.write_text(path.read_text().replace("0.002,", "0.002x,", 1))
     assert f"{path}:4:" in refusal("roughness", path)
+    path.write_text("position_mm,height_um\n" + "\n".join(f"{0.1 * k:.1f},{1e308 * (-1) ** k}" for k in range(50)))
+    assert f"{path}:2:" in refusal("roughness", path, "--picture", picture)
     path.write_text("position_mm,height_um\n" + "\n".join(f"{0.1 * k:.1f},1.0" for k in range(5)))
     assert refusal("roughness", path).startswith(str(path))
 

@@ -134,7 +134,7 @@ async def test_commands_are_taken_or_refused_in_words(board):
         ({"command": "acknowledge", "axes": ["z"]}, "does not know axes; it takes fault"),
         ({"command": "acknowledge"}, "fault must be the number of the FAULT"),
         ({"command": "acknowledge", "fault": True}, "fault must be the number of the FAULT"),
-        ({"command": "acknowledge", "fault": 1}, "the newest is FAULT 0, not 1"),
+        ({"command": "acknowledge", "fault": 1}, "there is no FAULT that is not acknowledged"),
         ({"command": "disable", "zero": "false"}, "true or false"),
         ({"command": "disable", "zero": 1}, "true or false"),
         ({"command": "disable", "zero": True, "axes": ["z"]}, "every axis"),

@@ -132,6 +132,8 @@ def _content(verdict: ChatterVerdict, recording: AccelerationRecording, begin_s:
 
 PROFILE_COLUMNS = ("position_mm", "height_um")
 DEPTH_COLUMN = "depth_mm"
+LARGEST = 1e6
+"""No position or depth [mm] and no height [um] of a profile is larger."""
 
 
 def read_profile(path: Path) -> tuple[FloatArray, bool]:
@@ -157,6 +159,9 @@ def _profile_row(
         depth = field(reader, row, DEPTH_COLUMN) if DEPTH_COLUMN in row else 0.0
     except ValueError:
         raise StabilityError(f"{path}:{number}: a field is no number; remove the row or measure again") from None
-    if not all(math.isfinite(value) for value in (*values, depth)):
-        raise StabilityError(f"{path}:{number}: a value is not finite; remove the row or measure again")
+    if not all(abs(value) <= LARGEST for value in (*values, depth)):
+        raise StabilityError(
+            f"{path}:{number}: a value is not finite or beyond {LARGEST:g}, which no surface has; remove the row or "
+            "measure again"
+        )
     return values[0], values[1], depth
