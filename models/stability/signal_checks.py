@@ -32,18 +32,18 @@ def check_clipping(acceleration_m_s2: FloatArray) -> None:
 
     `acceleration_m_s2`: shape (n,) [m/s^2].
     """
-    if float(np.ptp(acceleration_m_s2)) == 0.0:
+    lowest, highest = float(acceleration_m_s2.min()), float(acceleration_m_s2.max())
+    if lowest == highest:
         raise StabilityError(
-            f"the recording stands at {float(acceleration_m_s2[0]):g} m/s^2 from beginning to end; check the sensor "
-            "and its cable"
+            f"the recording stands at {lowest:g} m/s^2 from beginning to end; check the sensor and its cable"
         )
-    largest = float(np.abs(acceleration_m_s2).max())
+    largest = max(-lowest, highest)
     if not FAINTEST_M_S2 <= largest <= LOUDEST_M_S2:
         raise StabilityError(
             f"the largest acceleration of the recording is {largest:g} m/s^2, which no accelerometer reads; check unit "
             "and scale"
         )
-    for extreme, name in ((float(acceleration_m_s2.max()), "upper"), (float(acceleration_m_s2.min()), "lower")):
+    for extreme, name in ((highest, "upper"), (lowest, "lower")):
         at_limit = acceleration_m_s2 == extreme
         count = int(at_limit.sum())
         values = acceleration_m_s2[~at_limit]

@@ -132,6 +132,12 @@ def test_short_clipped_and_unreachable_recordings_are_refused() -> None:
         summarise([])
 
 
+@pytest.mark.parametrize("scale", [1e-200, 1e160, 1e307])
+def test_a_scale_that_no_accelerometer_has_is_refused_without_a_warning(scale: float) -> None:
+    with pytest.raises(StabilityError, match="which no accelerometer reads"):
+        detect_chatter(scale * forced(6000.0, 2.0), RATE_HZ, 6000.0, 4)
+
+
 @pytest.mark.parametrize("level", [0.0, 3.5])
 def test_a_dead_accelerometer_is_no_verdict(level: float) -> None:
     with pytest.raises(StabilityError, match="check the sensor"):

@@ -14,7 +14,7 @@ Outcome = Literal["intended", "verified", "differs", "failed", "refused"]
 
 
 class Document(BaseModel):
-    """An answer; it names every key that it may hold."""
+    """An answer; it names every key that it may hold. What FastAPI reads is made at once, or it warns in the log."""
 
     model_config = ConfigDict(extra="forbid", defer_build=True)
 
@@ -426,14 +426,14 @@ class Decided(Document):
     alarm: str | None = None
 
 
-class Login(Document):
+class Login(Document, defer_build=False):
     """Name and password."""
 
     name: str = Field(min_length=1, max_length=64)
     password: str = Field(min_length=1, max_length=MOST_PASSWORD)
 
 
-class Enable(Document):
+class Enable(Document, defer_build=False):
     """What to switch on."""
 
     axes: list[Annotated[str, Field(min_length=1, max_length=32)]] | None = Field(
@@ -448,7 +448,7 @@ class Disable(Enable):
     zero: bool = Field(False, description="retreat to zero instead of to where the reference left it")
 
 
-class Acknowledge(Document):
+class Acknowledge(Document, defer_build=False):
     """Which FAULT is acknowledged: a newer one than that is not cleared."""
 
     fault: int = Field(ge=1, lt=2**31, description="its number, as the status tells it")
