@@ -1,5 +1,6 @@
 """LATSIS lines, their frames, the sensors, other sources, and the cleansing of temperatures."""
 
+import hashlib
 from functools import cached_property
 from typing import Annotated, ClassVar, Literal
 
@@ -18,6 +19,8 @@ SensorNumber = Annotated[
 """The loader puts a sensor for each number in the place of a range (config/loader.py)."""
 ChainEntry = Annotated[int, Field(ge=1)] | Annotated[str, Field(pattern=RANGE_PATTERN)]
 
+SAID = {"component", "part", "label", "min_degc", "max_degc"}
+"""Keys of a sensor that change nothing of what it reads."""
 LONGEST_RANGE = 100_000
 LONGEST_CHAIN = 200
 """Sensors that one LATSIS line can carry."""
@@ -341,3 +344,15 @@ class TemperaturesConfig(Section):
     def components(self) -> tuple[str, ...]:
         """Component of each sensor in the machine's order."""
         return tuple(sensor.component for sensor in self.every_sensor)
+
+    @cached_property
+    def reads(self) -> dict[int, str]:
+        """What each sensor reads, by its ID in the machine's order: from where, and how it becomes a temperature."""
+        where: dict[int, str] = {}
+        for line in self.lines:
+            where |= {i: f"{line.port} {line.id_offset + place}" for place, i in enumerate(line.sensor_ids)}
+        for source in self.sources or ():
+            connection = source.connection
+            where |= dict.fromkeys(source.sensor_ids, connection.model_dump_json(exclude={connection.listed}))
+        texts = {each.id: where[each.id] + each.model_dump_json(exclude=SAID) for each in self.every_sensor}
+        return {sensor_id: hashlib.sha256(text.encode()).hexdigest()[:16] for sensor_id, text in texts.items()}

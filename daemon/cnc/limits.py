@@ -136,18 +136,9 @@ def reference_rules(
 def _counts_with(configuration: Configuration, um_per_unit: Mapping[str, float]) -> dict[str, str]:
     """Return what the numbers mean that are kept of a reference: they stand in the order of the sensors."""
     temperatures = configuration.temperatures
-    read = [
-        (
-            each.name,
-            getattr(each, "id_offset", 0),
-            each.sensor_ids,
-            [sensor.model_dump(mode="json") for sensor in getattr(each, "sensors", ())],
-        )
-        for each in temperatures.inputs
-    ]
-    sensors = json.dumps([temperatures.sensor_ids, read])
+    sensors = json.dumps([*temperatures.reads.items()])
     marks = {
-        "the list of sensors or what one of them reads": hashlib.sha256(sensors.encode()).hexdigest(),
+        "what sensors read or the list of them": hashlib.sha256(sensors.encode()).hexdigest(),
         "the commissioned movement per macro value": json.dumps(dict(um_per_unit)),
     }
     for name, axis in configuration.compensation.axes.items():

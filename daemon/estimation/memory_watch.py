@@ -143,25 +143,19 @@ class UnitWatch:
         self._configured = {each.name: each.sensors[0].unit for each in temperatures.sources or ()}
         self._places, self._sensor_ids = places, temperatures.sensor_ids
         self._counted_degc = np.full(len(self._sensor_ids), np.nan)
-        self.found = InOtherUnit(units={}, degc={}, configured=self._configured)
-        self._as_before: frozenset[str] = frozenset()
+        self.found = InOtherUnit(units={}, degc={})
 
     def recall(self, kept: InOtherUnit) -> None:
         """Go on with the sources that said another unit when the previous run ended."""
         units = {name: unit for name, unit in kept.units.items() if name in self._configured}
-        found = replace(kept, units=units, configured=self._configured)
-        self.found = kept if kept == found else found
-        self._as_before = frozenset(n for n, unit in self._configured.items() if kept.configured.get(n) == unit)
-        for name in self.found.units:
+        self.found = kept if units == kept.units else replace(kept, units=units)
+        for name in units:
             places = self._places[name]
             self._counted_degc[places] = [kept.degc.get(self._sensor_ids[place], np.nan) for place in places]
 
     def recall_past(self, degc: FloatArray) -> None:
-        """Hold sources whose configured unit is that of the previous run against what counted last then [degC]."""
-        for name in self._as_before:
-            places = self._places[name]
-            unknown = places[np.isnan(self._counted_degc[places])]
-            self._counted_degc[unknown] = degc[unknown]
+        """Hold what comes against what counted last in the previous run [degC]; NaN where another thing was read."""
+        self._counted_degc = np.where(np.isnan(self._counted_degc), degc, self._counted_degc)
 
     def counted(self, places: IndexArray, degc: FloatArray) -> None:
         """Take what counts of some sensors [degC]."""

@@ -25,7 +25,7 @@ from drivers.clock import Clock
 from models.control.reference_records import LabelOrigin, ReferenceDocument, SensorsSinceReference
 from models.json_values import plain
 from models.records import FloatArray, Reference
-from models.sensor_levels import Left, SensorLevels, first_levels
+from models.sensor_levels import Left, SensorLevels, first_levels, with_gap
 from models.thermal.estimation import UNSURE_UM
 from models.thermal.family import ThermalModel
 from models.thermal.mean_increment import (
@@ -243,21 +243,25 @@ class SinceReference:
 class LevelMemory:
     """Hands the levels to the store when they have changed, and gets those of the previous run."""
 
-    def __init__(self, history: HistoryWriter, sensor_ids: Sequence[int], clock: Clock) -> None:
+    def __init__(self, history: HistoryWriter, reads: Mapping[int, str], clock: Clock) -> None:
+        """`reads`: what each sensor reads, by its ID in the machine's order."""
         self._store = StateStore(history, clock)
-        self._sensor_ids = tuple(sensor_ids)
+        self._reads, self._sensor_ids = dict(reads), tuple(reads)
+        self.anew: list[int] = []
+        """Indices of sensors that read something else than in the previous run: what it knew of them is of another."""
         self._clock = clock
         self._kept, self._kept_to_utc_s = first_levels(len(self._sensor_ids)), self._clock.now().utc_ahead_s
-        self._units = self._store.get(InOtherUnit) or InOtherUnit(units={}, degc={})
-        self._inputs = self._store.get(InputsRead) or InputsRead(inputs={})
+        self.units = self._store.get(InOtherUnit) or InOtherUnit(units={}, degc={})
+        self.inputs = self._store.get(InputsRead) or InputsRead(inputs={})
+        """Which inputs say another unit, and what inputs say: of the previous run until another is kept."""
 
     def keep(self, levels: SensorLevels, in_other_unit: InOtherUnit, inputs: InputsRead | None = None) -> None:
         """Store the levels, which inputs say another unit, and what inputs say, unless that is what is stored."""
-        if in_other_unit is not self._units:
-            self._units = in_other_unit
+        if in_other_unit is not self.units:
+            self.units = in_other_unit
             self._store.put(in_other_unit)
-        if inputs is not None and inputs is not self._inputs:
-            self._inputs = inputs
+        if inputs is not None and inputs is not self.inputs:
+            self.inputs = inputs
             self._store.put(inputs)
         before, self._kept = self._kept, levels
         to_utc_s = self._clock.now().utc_ahead_s
@@ -280,43 +284,38 @@ class LevelMemory:
         sensors = None if kept is None or kept.record is None else kept.record.sensors
         return {} if sensors is None else dict(sensors.excluded)
 
-    def units_restored(self) -> InOtherUnit:
-        """Return the inputs that said another unit when the previous run ended."""
-        return self._units
-
-    def inputs_restored(self) -> InputsRead:
-        """Return what inputs said when the previous run ended."""
-        return self._inputs
-
     def restored(self) -> SensorLevels:
-        """Return the levels of the previous run; sensors that are not of this machine any more are left out."""
-        levels, kept = first_levels(len(self._sensor_ids)), self._store.get(SensorLevelsDocument)
-        if kept is None:
-            return levels
-        place = {sensor_id: index for index, sensor_id in enumerate(self._sensor_ids)}
+        """Return the levels of the previous run, without those of sensors that read something else now."""
+        kept = self._store.get(SensorLevelsDocument) or self._document(first_levels(len(self._sensor_ids)))
+        was = kept.reads or self._reads
+        self.anew = [index for index, i in enumerate(self._sensor_ids) if was.get(i) != self._reads[i]]
+        levels, now = self._levels_of(kept), self._clock.now()
+        if self.anew:
+            levels = with_gap(levels, -now.utc_ahead_s, now.monotonic_s, np.array(self.anew))
+        if kept.reads != self._reads:
+            self._store.put(self._document(levels))
+        return levels
+
+    def _levels_of(self, kept: SensorLevelsDocument) -> SensorLevels:
+        place = {i: index for index, i in enumerate(self._sensor_ids) if index not in self.anew}
         since_s = self._clock.now().utc_ahead_s
-        shift_k, uncertainty_k, lasting_k = (np.zeros(len(place)) for _ in range(3))
-        stored = (shift_k, kept.shift_k), (uncertainty_k, kept.uncertainty_k), (lasting_k, kept.lasting_k)
-        for values, of_store in stored:
-            for sensor_id, value in of_store.items():
-                if sensor_id in place:
-                    values[place[sensor_id]] = value
+        stored = kept.shift_k, kept.uncertainty_k, kept.lasting_k
+        shift_k, uncertainty_k, lasting_k = ([of.get(i, 0.0) * (i in place) for i in self._sensor_ids] for of in stored)
         left: dict[int, Left] = {}
-        if kept.sensor_ids == self._sensor_ids:
+        if kept.sensor_ids == self._sensor_ids and not self.anew:
             for then in kept.left:
                 degc = np.array([np.nan if value is None else value for value in then.degc], dtype=np.float64)
                 moment = Left(at_s=then.utc_s - since_s, degc=degc, trend_k_per_min=np.array(then.trend_k_per_min))
                 left |= dict.fromkeys((place[i] for i in then.away), moment)
-        changes = tuple(
-            (c.utc_s - since_s, place[c.sensor_id], c.shift_k) for c in kept.changes if c.sensor_id in place
-        )
         return SensorLevels(
-            shift_k=shift_k,
-            uncertainty_k=uncertainty_k,
-            lasting_k=lasting_k,
-            degc=levels.degc,
+            shift_k=np.array(shift_k),
+            uncertainty_k=np.array(uncertainty_k),
+            lasting_k=np.array(lasting_k),
+            degc=first_levels(len(self._sensor_ids)).degc,
             left=MappingProxyType(left),
-            changes=changes,
+            changes=tuple(
+                (c.utc_s - since_s, place[c.sensor_id], c.shift_k) for c in kept.changes if c.sensor_id in place
+            ),
             gaps=tuple(
                 (g.from_utc_s - since_s, g.to_utc_s - since_s, tuple(place[i] for i in g.sensor_ids if i in place))
                 for g in kept.gaps
@@ -332,6 +331,7 @@ class LevelMemory:
             moments.setdefault(id(then), (then, []))[1].append(self._sensor_ids[index])
         return SensorLevelsDocument(
             sensor_ids=self._sensor_ids,
+            reads=self._reads,
             shift_k=self._by_id(levels.shift_k),
             uncertainty_k=self._by_id(levels.uncertainty_k),
             lasting_k=self._by_id(levels.lasting_k),

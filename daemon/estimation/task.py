@@ -104,10 +104,10 @@ class ThermalTask:
         self._next: ModelInUse | None = None  # waits for an estimate to go on from, or a reference
         self._follows: tuple[str, FloatArray] | None = None  # see ThermalErrorEstimate
         self._since = SinceReference(self._sensor_ids, self._labels)
-        self._levels = LevelMemory(history, self._sensor_ids, clock)
+        self._levels = LevelMemory(history, temperatures.reads, clock)
         self._cleansing.levels, self._since.excluded = self._levels.restored(), self._levels.excluded_before()
-        self._cleansing.units.recall(self._levels.units_restored())
-        self._cleansing.memory.recall(self._levels.inputs_restored())
+        self._cleansing.units.recall(self._levels.units)
+        self._cleansing.memory.recall(self._levels.inputs)
         self._tool_um_per_k = _tool_um_per_k(configuration)
         self._heard = np.zeros(len(self._sensor_ids), dtype=bool)
         self._say_faults = RateLimit[TemperatureCycle](_log_faults)
@@ -142,7 +142,9 @@ class ThermalTask:
 
     async def recall(self) -> None:
         """Hold the first temperatures against those that the previous run accepted last."""
-        self._cleansing.recall(*await asyncio.to_thread(self._past.last_accepted))
+        degc, at_s, read = await asyncio.to_thread(self._past.last_accepted)
+        degc[self._levels.anew], at_s[self._levels.anew] = np.nan, -np.inf
+        self._cleansing.recall(degc, at_s, read)
 
     async def _prepare(self) -> None:
         if self._online is not None:

@@ -124,6 +124,8 @@ class SensorLevelsDocument:
     gaps: tuple[LevelGap, ...] = ()
     lasting_k: Mapping[int, float] = field(default_factory=dict[int, float])
     away_utc_s: Mapping[int, float] = field(default_factory=dict[int, float])
+    reads: Mapping[int, str] = field(default_factory=dict[int, str])
+    """What each sensor read, see `TemperaturesConfig.reads`; empty: a version before did not say."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,8 +136,6 @@ class InOtherUnit:
     """By name of the input."""
     degc: Mapping[int, float]
     """What counted last of their sensors [degC], by ID."""
-    configured: Mapping[str, str] = field(default_factory=dict)
-    """By name of every source: the unit that was configured."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

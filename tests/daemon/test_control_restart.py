@@ -98,7 +98,7 @@ async def test_an_estimate_right_after_the_restart_does_not_count_twice(bench):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"temperatures": "exchanged"}, "the list of sensors or what one of them reads changed"),
+        ({"temperatures": "exchanged"}, "what sensors read or the list of them changed"),
         ({"record": -1}, "the commissioned movement per macro value changed"),
         ({"z": {"estimate": "Y1"}}, "what axis z follows, or its tool term changed"),
         ({"z": {"tool_term": TERM}}, "what axis z follows, or its tool term changed"),

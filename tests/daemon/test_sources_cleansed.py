@@ -143,27 +143,26 @@ async def test_that_a_box_says_another_unit_outlives_a_restart(tmp_path: Path) -
     found = InOtherUnit(units={"box": "degF"}, degc={9: 20.0, 10: 24.0})
     for kept in (found, None):
         history = HistoryWriter(tmp_path / "h.sqlite", clock=SystemClock(), machine=layout)
-        memory = LevelMemory(history, layout.sensor_ids, SystemClock())
+        memory = LevelMemory(history, configuration.temperatures.reads, SystemClock())
         history.start()
         if kept is not None:
             memory.keep(first_levels(len(layout.sensor_ids)), kept)
         await history.flushed()
         history.close()
     fed = Fed()
-    fed._cleansing.units.recall(memory.units_restored())
+    fed._cleansing.units.recall(memory.units)
     assert [fed(10.0 * i, 80.0, 84.0).quality[4] == Quality.GOOD for i in range(12)] == [False] * 12
     assert "degF" in fed.refusal(120.0)
     assert of_box([fed(130.0 + 10.0 * i, 27.0, 29.0) for i in range(4)][-1]) == [27.0, 29.0] and not fed.refusal(160.0)
 
 
-@pytest.mark.parametrize("configured", ["degC", "degF"])
+@pytest.mark.parametrize("set_right", [False, True])
 def test_a_box_that_was_switched_while_the_daemon_was_away_is_found_unless_the_configuration_was_set_right(
-    configured: str,
+    set_right: bool,
 ) -> None:
     fed = Fed()
-    fed._cleansing.units.recall(InOtherUnit(units={}, degc={}, configured={"box": configured}))
-    past = np.array([np.nan] * 4 + [20.0, 24.0])
+    past = np.array([np.nan] * 4 + ([np.nan] * 2 if set_right else [20.0, 24.0]))
     fed._cleansing.recall(past, np.where(np.isnan(past), -np.inf, -30.0))
     last = [fed(10.0 * i, 68.0, 75.2) for i in range(12)][-1]
-    assert (last.quality[4] == Quality.GOOD) == (configured == "degF")
-    assert ("degF" in fed.refusal(120.0)) == (configured == "degC")
+    assert (last.quality[4] == Quality.GOOD) == set_right
+    assert ("degF" in fed.refusal(120.0)) != set_right
