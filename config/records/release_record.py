@@ -32,6 +32,7 @@ class ReleaseRecord(Section):
     checks: list[str] = Field(description="what was checked and found good, in words")
     previous: PreviousRelease | None = None
     trained_on: str = Field("", description="another machine of which a person said that its models serve this one")
+    reads: dict[str, str] = Field(default_factory=dict[str, str], description="what each input of the model read")
 
 
 class ReleaseRecordError(Exception):

@@ -8,6 +8,7 @@ import numpy as np
 
 from config.records.commissioning import CommissioningRecord
 from config.schema import Configuration
+from config.schema.compensation import ToolTermConfig
 from config.schema.guard import PROGRAM_LABELS
 from daemon.cnc.macro_block import ECHO_SLACK_UM
 from daemon.cnc.own_offset import offset_macros
@@ -69,24 +70,15 @@ def output_limits(configuration: Configuration, factors: Mapping[str, float] | N
 
 def axis_sources(configuration: Configuration) -> tuple[AxisSource, ...]:
     """Return which estimate feeds which axis."""
-    sources = []
-    for name, axis in configuration.compensation.axes.items():
-        term = axis.tool_term
-        sources.append(
-            AxisSource(
-                axis=name,
-                channel=axis.estimate,
-                tool_term=None
-                if term is None
-                else ToolTerm(
-                    length_mm=term.length_mm,
-                    expansion_um_per_m_k=term.expansion_um_per_m_k,
-                    label_weights=term.temperatures,
-                    direction=term.direction,
-                ),
-            )
-        )
-    return tuple(sources)
+    axes = configuration.compensation.axes.items()
+    return tuple(AxisSource(axis=n, channel=axis.estimate, tool_term=_tool_term(axis.tool_term)) for n, axis in axes)
+
+
+def _tool_term(term: ToolTermConfig | None) -> ToolTerm | None:
+    if term is None:
+        return None
+    kept = term.model_dump(include={"length_mm", "expansion_um_per_m_k", "direction"})
+    return ToolTerm(label_weights=term.temperatures, **kept)
 
 
 def commissioned_factors(record: CommissioningRecord | None, axes: Sequence[str]) -> dict[str, float]:

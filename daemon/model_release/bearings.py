@@ -1,6 +1,6 @@
 """Release and use of the bearing model that the spindle speed follows, by the rules of thermal models."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
@@ -76,7 +76,11 @@ def _checked(configuration: Configuration, content: bytes, source: str) -> tuple
     ]
 
 
-BEARINGS = Kind(repository=bearing_repository, checked=_checked)
+def _labels(model: ThermomechanicalModel) -> Iterable[str]:
+    return (f"label {signal}" for signal in model.signals)
+
+
+BEARINGS = Kind(repository=bearing_repository, checked=_checked, inputs=_labels)
 """The bearing model of the spindle speed."""
 
 

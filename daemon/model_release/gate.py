@@ -1,5 +1,6 @@
 """What a thermal model must fulfil before it is followed."""
 
+from config.records.release_record import ReleaseRecord
 from config.schema import Configuration
 from models.thermal.family import ThermalModel
 from models.thermal.model import MACHINE
@@ -30,6 +31,25 @@ def machine_inhibit(model: ThermalModel, configuration: Configuration, said: str
     return (
         f"it was trained on machine {trained_on!r}, and this one is {configuration.machine!r} (machine); where it "
         f"serves this one too, release it with --trained-on {trained_on!r}"
+    )
+
+
+def inputs_now(configuration: Configuration) -> dict[str, str]:
+    """Return what every sensor reads, and the sensors of every label, by what a model's release calls them."""
+    reads = [*configuration.temperatures.reads.items()]
+    labels = configuration.temperatures.labels.items()
+    of_labels = {f"label {label}": " ".join(reads[place][1] for place in places) for label, places in labels}
+    return {f"sensor {sensor_id}": read for sensor_id, read in reads} | of_labels
+
+
+def inputs_inhibit(record: ReleaseRecord | None, configuration: Configuration) -> str:
+    """Return that inputs of a model read something else than when it was released, '' when none does."""
+    then, now = {} if record is None else record.reads, inputs_now(configuration)
+    if not (other := [name for name, read in then.items() if now.get(name) != read]):
+        return ""
+    return (
+        f"{', '.join(other[:8])} read something else than when it was released (see temperatures); where they still "
+        "measure what it was trained on, release it again"
     )
 
 

@@ -12,7 +12,7 @@ from config.schema import Configuration
 from config.signing import SigningError
 from daemon.model_release.active import release_signer, released
 from daemon.model_release.file_access import Account, how_it_could_change
-from daemon.model_release.gate import machine_inhibit, training_inhibit, unfit
+from daemon.model_release.gate import inputs_inhibit, machine_inhibit, training_inhibit, unfit
 from daemon.snapshots import ModelSnapshot
 from models.model_file import ModelError
 from models.thermal.family import ThermalModel, model_from_json
@@ -107,7 +107,9 @@ def load_checked(
 ) -> LoadedModel[AnyModel]:
     """Return a released, unchanged and readable model whose file this account cannot change."""
     try:
-        return _loaded(wanted, path, configuration, account, read)
+        found = _loaded(wanted, path, configuration, account, read)
+        inhibit = "" if found.model is None else inputs_inhibit(found.record, configuration)
+        return replace(found, model=None, inhibit=f"{path}: {inhibit}") if inhibit else found
     except OSError as error:
         return LoadedModel(model=None, inhibit=f"{path}: the {wanted.kind} cannot be read ({error.strerror})")
 

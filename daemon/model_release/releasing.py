@@ -3,11 +3,11 @@
 import os
 import pwd
 import stat
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 from config.files import sha256_of
 from config.records.release_record import PreviousRelease, ReleaseRecord
@@ -16,7 +16,7 @@ from config.signing import SigningError, TrustedKeys
 from config.signing_key import SigningKey
 from daemon.model_release.active import proposals_folder
 from daemon.model_release.file_access import account_of_daemon, how_it_could_change
-from daemon.model_release.gate import channels_in_use, machine_inhibit
+from daemon.model_release.gate import channels_in_use, inputs_inhibit, inputs_now, machine_inhibit
 from daemon.model_release.loading import Named, model_from_text
 from daemon.model_release.release_checks import gate_inhibit, policy_inhibit
 from daemon.model_release.repository import ReleaseError, ReleaseRepository
@@ -35,6 +35,8 @@ class Kind:
     """Raises ReleaseError without a configured place."""
     checked: Callable[[Configuration, bytes, str], tuple[Named, list[str]]]
     """Return the model that bytes hold, and what was found good; raises ReleaseError."""
+    inputs: Callable[[Any], Iterable[str]]
+    """Return what `inputs_now` calls the temperatures that a model takes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +107,8 @@ def release(
     with repository.locked():
         active = repository.active()
         _refuse_the_daemons_reach(configuration, repository)
-        if active is not None and active.sha256 == sha256_of(content) and trained_on in ("", active.trained_on):
+        same = active is not None and active.sha256 == sha256_of(content) and trained_on in ("", active.trained_on)
+        if active is not None and same and not inputs_inhibit(active, configuration):
             raise ReleaseError(f"{proposal}: this model is active already, as release {active.number}")
         if twin := [r for r in repository.records() if r.model_id == model.model_id and r.sha256 != sha256_of(content)]:
             raise ReleaseError(
@@ -121,7 +124,9 @@ def release(
         record = _record(
             repository, "release", model, content, person=person, source=str(proposal), note=note, checks=checks
         )
-        record = record.model_copy(update={"trained_on": trained_on})
+        now, names = inputs_now(configuration), kind.inputs(model)
+        reads = {name: now[name] for name in names if name in now}
+        record = record.model_copy(update={"trained_on": trained_on, "reads": reads})
         repository.add(record, content, key)
     return record
 
@@ -180,10 +185,12 @@ def rollback(
             raise ReleaseError(f"release {number} holds the model that is active now")
         model, checks = kind.checked(configuration, content, f"release {number}")
         _refuse_another_machine(kind, model, configuration, f"release {number}", found.trained_on)
+        if inhibit := inputs_inhibit(found, configuration):
+            raise ReleaseError(f"release {number}: {inhibit}")
         record = _record(
             repository, "rollback", model, content, person=person, source=f"release {number}", note=note, checks=checks
         )
-        record = record.model_copy(update={"trained_on": found.trained_on})
+        record = record.model_copy(update={"trained_on": found.trained_on, "reads": found.reads})
         repository.add(record, content, key)
     return record
 
@@ -355,5 +362,9 @@ def _record(
     )
 
 
-THERMAL = Kind(repository=repository_of, checked=_checked)
+def _sensors(model: ThermalModel) -> Iterable[str]:
+    return (f"sensor {sensor_id}" for sensor_id in model.sensor_ids)
+
+
+THERMAL = Kind(repository=repository_of, checked=_checked, inputs=_sensors)
 """The thermal model of the compensation."""

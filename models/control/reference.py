@@ -60,6 +60,8 @@ LABEL_AWAY_S = 25.0
 """A label without a value for so long has been away: it has one with every cycle [s]."""
 TOOL_UNKNOWN_S = 60.0
 """What a label had within an absence, so far from both its ends, nobody knows [s]."""
+COUNTED = ("baseline_um", "offset_um", "model_shift_um", "counted_found_um", "tools")
+"""What the output counts from, in its memory and in a reference's baseline."""
 EVER_SEEN: Mapping[str, float] = MappingProxyType({})
 
 
@@ -289,27 +291,11 @@ def count_from(memory: ReferenceMemory, output: OutputMemory, axes: tuple[str, .
     record = memory.record
     if record is None or output.error_reference_id != record.reference_id:
         return memory
-    known = record.baseline
-    if (
-        known is not None
-        and known.baseline_um is output.baseline_um
-        and known.offset_um is output.offset_um
-        and known.tools is output.tools
-        and known.model_shift_um is output.model_shift_um
-        and known.counted_found_um is output.counted_found_um
-        and (known.weight, known.model_id) == (output.weight, output.model_id)
-    ):
+    known, now = record.baseline, {name: getattr(output, name) for name in COUNTED}
+    same = known is not None and all(getattr(known, name) is value for name, value in now.items())
+    if known is not None and same and (known.weight, known.model_id) == (output.weight, output.model_id):
         return memory
-    baseline = OutputBaseline(
-        axes=axes,
-        model_id=output.model_id,
-        baseline_um=output.baseline_um,
-        offset_um=output.offset_um,
-        model_shift_um=output.model_shift_um,
-        counted_found_um=output.counted_found_um,
-        weight=output.weight,
-        tools=output.tools,
-    )
+    baseline = OutputBaseline(axes=axes, model_id=output.model_id, weight=output.weight, **now)
     return replace(memory, record=replace(record, baseline=baseline))
 
 

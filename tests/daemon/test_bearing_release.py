@@ -14,6 +14,7 @@ from other_user import OTHER, as_root, as_user
 from speed_machine import bearing_model, speed_machine
 
 from config.schema import Configuration
+from config.schema.temperatures import TemperaturesConfig
 from daemon.cli import main
 from daemon.model_release.bearings import BEARINGS, open_planning
 from daemon.model_release.file_access import Account, own_account
@@ -87,6 +88,18 @@ def test_a_release_is_recorded_audited_and_can_be_taken_back(folder: Path) -> No
     assert again is not None
     assert again.sha256 == first.sha256
     assert sorted(each.name for each in (folder / "models").iterdir()) == ["bearings-releases", "bearings.json"]
+
+
+def test_a_model_whose_label_has_other_sensors_since_its_release_plans_no_speed(folder: Path) -> None:
+    configuration = configured(folder)
+    release(configuration, proposed(folder), person="anna", kind=BEARINGS)
+    assert open_planning(configuration, STRANGER).inhibit == ""
+    of = configuration.temperatures
+    first, *others = of.sensors
+    sensors = [first.model_copy(update={"label": "B"}), *others]
+    temperatures = TemperaturesConfig(lines=of.lines, sensors=sensors, cleansing=of.cleansing)
+    opened = open_planning(configuration.model_copy(update={"temperatures": temperatures}), STRANGER)
+    assert "label A read something else" in opened.inhibit
 
 
 def test_what_does_not_fit_the_machine_is_not_released(folder: Path) -> None:
