@@ -91,6 +91,33 @@ def test_an_edited_configuration_leaves_nothing_of_another_sensor_in_the_lags(tm
     assert np.abs(off_um[40:][followed]).max(initial=0.0) <= 1.0
 
 
+class Renamed(SetRight):
+    """The store is another machine's: its computer was copied, and the name in the configuration changed."""
+
+    def _wire(self, chain: list[int | str]) -> None:
+        super()._wire(chain)
+        if hasattr(self, "moment"):
+            self.loop.configuration = self.loop.configuration.model_copy(update={"machine": "its sister"})
+
+
+def test_the_history_of_another_machine_fills_no_lags(tmp_path: Path) -> None:
+    """Where all of the past is another's, too little is known until the lags have filled anew."""
+    loop = Renamed(
+        tmp_path / "loop",
+        ahead_of_lags(),
+        PLACE,
+        "checked",
+        before=600,
+        reads_past=True,
+        pauses=(10,),
+        restarting=True,
+        positionings=(30,),
+    )
+    asyncio.run(loop.begin(exchanged=False, away_s=0.0).run(60))
+    assert loop.states[9] is OutputState.ACTIVE and loop.states[-1] is OutputState.HOLD
+    assert "too little is known" in loop.loop.rig.control.memory.reason
+
+
 @pytest.mark.parametrize(
     ("changes", "anew"),
     [
