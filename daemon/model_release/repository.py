@@ -71,6 +71,9 @@ class ReleaseRepository:
     def content(self, number: int) -> tuple[ReleaseRecord, bytes]:
         """Return a release and its model's bytes, or raise ReleaseError when they do not belong together."""
         folder = self.releases / f"{number:04d}"
+        if not folder.exists():
+            there = ", ".join(str(each.number) for each in self.records())
+            raise ReleaseError(f"there is no release {number} in {self.releases}; there are: {there or 'none'}")
         try:
             record = load_release_record(folder / RECORD_NAME)
             content = read_whole(folder / MODEL_NAME)

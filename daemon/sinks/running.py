@@ -2,11 +2,10 @@
 
 import contextlib
 import fcntl
-import os
 import sqlite3
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,14 +18,16 @@ from daemon.history.cursors import Cursor, Position, cursor_path
 from daemon.history.database import HistoryError
 from daemon.sinks.contract import Progress, Retry, Sink, SinkError, SinkWaitsError, Watch
 from daemon.sinks.outbox import STREAMS, Outbox
-from daemon.sinks.watching import lately, lock_path, runs, silence
+from daemon.sinks.watching import lock_path, runs, silence
 
 if TYPE_CHECKING:
     from daemon.sinks.alarms.message import Messenger
 
 log = structlog.get_logger(__name__)
 ALIVE_PERIOD_S = 30.0
-"""How often a sink with nothing to send says that it runs, and the process of all of them too."""
+"""How often a sink with nothing to send says that it runs."""
+LOCK_WITHIN_S = 0.5
+"""Somebody who looks whether the process runs holds its lock for a moment; another such process for longer."""
 STOP_WITHIN_S = 10.0
 OpenSink = Callable[[SinkConfig, str], Sink]
 
@@ -196,9 +197,9 @@ class SinkRunner:
                 log.error("sink.cursor", path=str(self._path), problem=str(error))
 
 
-def run_sinks(configuration: Configuration, stop: threading.Event) -> None:
-    """Run every sink of a configuration until `stop` is set; raises HistoryError when another process does."""
-    store = configuration.history.path
+@contextlib.contextmanager
+def alone(store: Path) -> Iterator[None]:
+    """Be the one process that sends a store; raises HistoryError when another does."""
     folder = cursor_path(store, "").parent
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -206,12 +207,24 @@ def run_sinks(configuration: Configuration, stop: threading.Event) -> None:
     except OSError as error:
         raise HistoryError(f"{folder}: cannot be written ({error.strerror}); run this as the daemon's user") from error
     with lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise HistoryError(
-                f"{store}: another process sends this store to its sinks; stop that one first"
-            ) from error
+        until_s = time.monotonic() + LOCK_WITHIN_S
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError as error:
+                if time.monotonic() > until_s:
+                    raise HistoryError(
+                        f"{store}: another process sends this store to its sinks; stop that one first"
+                    ) from error
+                time.sleep(LOCK_WITHIN_S / 10.0)
+        yield
+
+
+def run_sinks(configuration: Configuration, stop: threading.Event) -> None:
+    """Run every sink of a configuration until `stop` is set; raises HistoryError when another process does."""
+    store = configuration.history.path
+    with alone(store):
         runners = [
             SinkRunner(each, store, configuration.machine, stop, opener(each, configuration))
             for each in configuration.sinks or ()
@@ -219,9 +232,7 @@ def run_sinks(configuration: Configuration, stop: threading.Event) -> None:
         threads = [threading.Thread(target=each.run, name="sink", daemon=True) for each in runners]
         for thread in threads:
             thread.start()
-        while not stop.wait(ALIVE_PERIOD_S):
-            with contextlib.suppress(OSError):
-                os.utime(lock.fileno())
+        stop.wait()
         for thread in threads:
             thread.join(STOP_WITHIN_S)
 
@@ -239,8 +250,8 @@ def _status(configuration: Configuration, config: SinkConfig, now_utc_s: float) 
         positions = cursor.positions if same else {}
         streams = STREAMS if config.alarms is None else {}
         found = {name: outbox.waiting(each, positions.get(name, Position())) for name, each in streams.items()}
-    store, spoke = configuration.history.path, lately(cursor.alive_utc_s, now_utc_s)
-    running = spoke or runs(store, now_utc_s)
+    store = configuration.history.path
+    running = runs(store)
     oldest = [time_s for _, time_s in found.values() if time_s is not None]
     return {
         "name": config.name,
@@ -248,8 +259,9 @@ def _status(configuration: Configuration, config: SinkConfig, now_utc_s: float) 
         "place": config.place,
         "exposed": config.exposed,
         "running": running,
-        "problem": cursor.problem or (silence(config.name, store, now_utc_s) if running and not spoke else ""),
+        "problem": cursor.problem or (silence(config.name, store, cursor.alive_utc_s, now_utc_s) if running else ""),
         "acknowledged_utc_s": cursor.acknowledged_utc_s,
+        "counted": "rows" if config.alarms is None else "messages",
         "rows": {
             "sent": cursor.sent_rows,
             "stored": cursor.stored_rows,

@@ -22,6 +22,7 @@ from config.sample import sample_configuration
 from config.schema import Configuration
 from config.schema.sinks import AlarmsConfig, SinkConfig
 from daemon.app import Daemon
+from daemon.cli.operate.sink import in_words
 from daemon.monitor.control_socket import ControlSocket
 from daemon.sinks.alarms import sink as alarm_sink
 from daemon.sinks.alarms.observing import HELD, Lasting, certificates, of_computer, of_status
@@ -63,6 +64,10 @@ class Hall:
         self.runner = await asyncio.to_thread(self._run)
         return [alarm["sentence"] for post in self.posts.taken[before:] for alarm in post["alarms"]]
 
+    async def status(self) -> str:
+        (status,) = await asyncio.to_thread(sink_status, self.configuration, time.time())
+        return in_words(status, 30.0)
+
 
 @contextlib.asynccontextmanager
 async def hall(folder: Path, **alarms: object) -> AsyncIterator[Hall]:
@@ -103,6 +108,7 @@ async def test_a_fault_is_told_and_its_end_too(tmp_path: Path) -> None:
     async with hall(tmp_path) as it:
         await it.rig.turn()
         assert await it.look() == []
+        assert "sent 0 messages; last acknowledged never" in await it.status(), "what was read alone is not sent"
         await fault(it.rig, "read-back differs: #501")
         (said,) = await it.look()
         assert said.startswith("FAULT, since 20") and said.endswith("read-back differs: #501")
@@ -111,6 +117,7 @@ async def test_a_fault_is_told_and_its_end_too(tmp_path: Path) -> None:
         await acknowledged(it.rig)
         (said,) = await it.look()
         assert said == "over after 12 min: FAULT: read-back differs: #501"
+        assert "sent 2 messages; last acknowledged 20" in await it.status()
         assert await it.look(1e5) == []
 
 

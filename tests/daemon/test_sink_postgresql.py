@@ -221,7 +221,7 @@ def test_the_command_is_killed_and_goes_on_where_it_was(server: Server, tmp_path
     assert stored(server) == 24
     done = subprocess.run([*command, "status", "-c", str(config), "--json", "-"], capture_output=True, check=True)
     (said,) = json.loads(done.stdout)["sinks"]
-    assert said["running"] and said["problem"] == "" and said["rows"]["waiting"]["cnc"] == 12
+    assert not said["running"] and said["problem"] == "" and said["rows"]["waiting"]["cnc"] == 12
     words = subprocess.run([*command, "status", "-c", str(config)], capture_output=True, check=True, text=True).stdout
     assert "plant (postgresql, 127.0.0.1:" in words and "12 cnc" in words
 

@@ -26,7 +26,7 @@ from daemon.history.cursors import Cursor, cursor_path
 from daemon.history.database import HistoryError, connect_reader
 from daemon.sinks.contract import Progress, SinkError
 from daemon.sinks.outbox import STREAMS, Outbox
-from daemon.sinks.running import SinkRunner, run_sinks, sink_status
+from daemon.sinks.running import SinkRunner, alone, run_sinks, sink_status
 from daemon.sinks.watching import watch
 from drivers.contract import LinkError
 
@@ -198,11 +198,15 @@ def test_status_says_what_waits_and_why(tmp_path: Path) -> None:
     assert before["rows"]["waiting"] == {"temperatures": 12, "cnc": 12, "estimates": 12}
     assert before["oldest_waiting_utc_s"] == EPOCH_S and not before["running"]
     take(store, Taker())
-    (after,) = sink_status(configuration, time.time())
+    with alone(store):
+        (after,) = sink_status(configuration, time.time())
     assert after["rows"] == {"sent": 36, "stored": 36, "repeated": 0, "waiting": {}} and after["running"]
     assert after["newest_utc_s"]["cnc"] == EPOCH_S + 3300.0
-    (later,) = sink_status(configuration, time.time() + 1000.0)
-    assert not later["running"]
+    (ended,) = sink_status(configuration, time.time())
+    assert not ended["running"] and ended["problem"] == ""
+    with alone(store):
+        (stuck,) = sink_status(configuration, time.time() + 1000.0)
+    assert stuck["running"] and "has been at one piece" in stuck["problem"]
 
 
 async def test_the_daemon_shows_a_sink_as_a_link(tmp_path: Path) -> None:
@@ -212,12 +216,17 @@ async def test_the_daemon_shows_a_sink_as_a_link(tmp_path: Path) -> None:
     with pytest.raises(LinkError, match="sink plant: its process does not run"):
         await watch(SINK, store, lambda: up.append(True), 0.0)
     Cursor(alive_utc_s=time.time()).write(path)
-    looking = asyncio.create_task(watch(SINK, store, lambda: up.append(True), 0.0))
-    while not up:
-        await asyncio.sleep(0.001)
-    Cursor(alive_utc_s=time.time(), problem="the disk of the database is full").write(path)
-    with pytest.raises(LinkError, match="the disk of the database is full"):
-        await looking
+    with alone(store):
+        looking = asyncio.create_task(watch(SINK, store, lambda: up.append(True), 0.0))
+        while not up and not looking.done():
+            await asyncio.sleep(0.001)
+        Cursor(alive_utc_s=time.time(), problem="the disk of the database is full").write(path)
+        with pytest.raises(LinkError, match="the disk of the database is full"):
+            await looking
+        Cursor(alive_utc_s=time.time()).write(path)
+        looking = asyncio.create_task(watch(SINK, store, lambda: None, 0.0))
+    with pytest.raises(LinkError, match="its process does not run"):
+        await asyncio.wait_for(looking, 10.0)
 
 
 def test_a_second_process_is_refused(tmp_path: Path) -> None:

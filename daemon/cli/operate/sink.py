@@ -59,9 +59,10 @@ def status(config_path: Path, json_path: str | None) -> None:
 def in_words(status: dict[str, Any], keep_days: float) -> str:
     """Return one sink in some lines."""
     rows, running = status["rows"], "runs" if status["running"] else "does not run: start `toolpoint sink run`"
+    counted = f"rows, of which {rows['stored']} were new" if status["counted"] == "rows" else status["counted"]
     lines = [
         f"{status['name']} ({status['driver']}, {status['place']}): {running}",
-        f"  sent {rows['sent']} rows, of which {rows['stored']} were new; last acknowledged {_iso(status)}",
+        f"  sent {rows['sent']} {counted}; last acknowledged {_iso(status)}",
     ]
     if waiting := rows["waiting"]:
         counts = ", ".join(f"{count} {name}" for name, count in waiting.items())

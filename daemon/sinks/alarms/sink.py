@@ -184,8 +184,8 @@ class AlarmSink:
         told = self._tell()
         if self._unwritten:
             raise SinkWaitsError(self._unwritten)
-        if events or told:
-            progress.acknowledged(EVENTS.name, Position(row=self._known.row), self._now_utc_s(), sent=told, stored=told)
+        if told:
+            progress.acknowledged(EVENTS.name, Position(row=self._known.row), self._now_utc_s(), sent=1, stored=1)
         if self._untold:
             raise SinkWaitsError(self._untold)
         return False
@@ -287,18 +287,18 @@ class AlarmSink:
             log.warning("alarms.models_unread", sink=self._name, problem=str(error))
         self._known = replace(self._known, worn=worn, worn_utc_s=now_utc_s)
 
-    def _tell(self) -> int:
-        """Send what is due; return the number of its alarms that people were told."""
+    def _tell(self) -> bool:
+        """Send what is due; return whether people were told."""
         now_utc_s, ledger = self._now_utc_s(), self._known.ledger
         limits = Limits(interval_s=self._alarms.interval_s, remind_s=3600.0 * self._alarms.remind_after_h)
         if not (entries := ledger.due(limits, now_utc_s)):
-            return 0
+            return False
         message = Message(machine=self._configuration.machine, time_utc_s=now_utc_s, entries=entries)
         try:
-            self._untold, told = self._messenger.send(message), len(entries)
+            self._untold, told = self._messenger.send(message), True
             ledger = ledger.told(entries, now_utc_s)
         except UnansweredError as error:
-            self._untold, told = str(error), 0
+            self._untold, told = str(error), False
             ledger = ledger.sent(entries, now_utc_s)
         self._known = replace(self._known, ledger=ledger)
         self._save()
