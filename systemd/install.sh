@@ -71,9 +71,11 @@ if [ "$program_only" = no ]; then
     case $prefix in
         *[!A-Za-z0-9/._+-]*) die "the units cannot name $prefix; choose a folder of letters, digits and / . _ + -" ;;
     esac
-    case $root$prefix in
-        //home/*|//root/*|//run/user/*|//tmp/*|//var/tmp/*) die "the service cannot look into $prefix (ProtectHome, PrivateTmp); choose another folder" ;;
-    esac
+    for folder in "$prefix" "$("$python" -c 'import os, sys; print(os.path.realpath(sys.base_prefix))')"; do
+        case $root$folder in
+            //home/*|//root/*|//run/user/*|//tmp/*|//var/tmp/*) die "the service cannot look into $folder (ProtectHome, PrivateTmp); choose another folder with --prefix, or another Python with --python" ;;
+        esac
+    done
 fi
 
 extras=$(cat "$here/extras" 2> /dev/null || :)

@@ -202,6 +202,17 @@ def test_a_folder_that_the_units_cannot_name_is_refused(tmp_path: Path, options:
     assert not (tmp_path / "with space").exists()
 
 
+def test_a_python_of_somebody_s_home_is_refused(tmp_path: Path) -> None:
+    own = tmp_path / "python3"  # as pyenv and uv install one; it must not come so far as to install anything here
+    told = "*base_prefix*) echo /home/anna/.pyenv/versions/3.11.7 ;; *venv*) exit 1 ;;"
+    own.write_text(f'#!/bin/sh\ncase "$*" in {told} *) exec {sys.executable} "$@" ;; esac\n', encoding="utf-8")
+    own.chmod(0o755)
+    prefix = Path("/opt/toolpoint-of-nobody")
+    done = install(bundle(tmp_path, "0.0.1"), prefix, "--python", str(own))
+    assert done.returncode == 1 and "the service cannot look into /home/anna/.pyenv/versions/3.11.7" in done.stderr
+    assert "--python" in done.stderr and not prefix.exists()
+
+
 def test_the_installer_says_how_it_is_used() -> None:
     shown = subprocess.run(["sh", str(INSTALLER), "--help"], capture_output=True, text=True, check=False)
     assert shown.returncode == 0 and "--switch VERSION" in shown.stdout
