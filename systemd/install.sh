@@ -88,7 +88,7 @@ trap 'rm -rf "$prefix/$version"' EXIT
 "$prefix/$version/bin/toolpoint" --version
 
 if [ "$program_only" = no ]; then
-    units="$root/etc/systemd/system"
+    units="${root%/}/etc/systemd/system"
     mkdir -p "$units" "$root/usr/lib/sysusers.d" "$root/usr/lib/tmpfiles.d" "$root/etc/udev/rules.d"
     for unit in toolpoint.service toolpoint-sink.service toolpoint-store.service toolpoint-release.service toolpoint-release.path; do
         sed "s|/opt/toolpoint/|$prefix/|g" "$here/systemd/$unit" > "$units/.$unit.new"

@@ -123,10 +123,11 @@ def test_install_upgrade_and_back(tmp_path: Path) -> None:
     sink = root / "etc/systemd/system/toolpoint-sink.service"
     as_shipped = sink.read_text("utf-8")
     sink.write_text(as_shipped.replace("#LoadCredential=mail", "LoadCredential=mail"), encoding="utf-8")
-    beside = install(made, prefix, "--root", str(root))
+    beside = install(made, prefix, "--root", f"{root}/")
     assert sink.read_text("utf-8") == as_shipped
     changed = sink.with_name(f"{sink.name}.before-0.0.2")
     assert "\nLoadCredential=mail" in changed.read_text("utf-8"), "what somebody changed is not lost"
+    assert "//" not in beside.stderr
     assert changed.name in beside.stderr and f"systemctl edit {sink.name}" in beside.stderr
     assert list(sink.parent.glob("*.before-*")) == [changed], "of the units that were as they come, none is kept"
     assert beside.returncode == 0 and by_name.read_text("utf-8") == "somebody's own"
