@@ -378,3 +378,5 @@ class Daemon:
         if problem:
             log.error("history.problem", problem=problem)
             self._telemetry.history_problem()
+        else:
+            log.info("history.works_again")

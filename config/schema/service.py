@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, IPvAnyAddress, model_validator
 
 from config.schema.base import Days, Host, KeyPath, KeyProblems, Seconds, Section
 
@@ -77,6 +77,9 @@ class ServiceConfig(Section):
         None,
         description="accounts of the monitor (`toolpoint users`); none: whoever reaches it may look, nobody may act",
         examples=["/etc/toolpoint/users"],
+    )
+    trusted_proxies: list[IPvAnyAddress] = Field(
+        [], description="reverse proxies whose X-Forwarded-For tells who asks", examples=[["127.0.0.1"]]
     )
     session_hours: float = Field(12.0, gt=0, le=168, description="a login to the monitor ends after this long [h]")
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="least level logged")

@@ -77,10 +77,6 @@ def retention(config: HistoryConfig) -> list[tuple[str, str, float]]:
     ]
 
 
-STREAMS_OF_TABLES = {"reference_points": "references"}
-"""Table -> its stream, where that is called otherwise."""
-
-
 def tidy(
     connection: sqlite3.Connection,
     config: HistoryConfig,
@@ -94,7 +90,7 @@ def tidy(
     """
     for table, kind, keep_days in retention(config):
         cutoff_ms = int(now_utc_s * 1e3 - keep_days * DAY_MS)
-        stream = kind or STREAMS_OF_TABLES.get(table, table)
+        stream = kind or ("references" if table == "reference_points" else table)
         late_ms = cutoff_ms - int(config.keep_for_sinks_days * DAY_MS)
         for too_old, untaken in _too_old(table, None if held is None else held.get(stream), cutoff_ms, late_ms):
             rows = _delete(connection, table, too_old, SLICE_ROWS, "1")
@@ -116,7 +112,8 @@ def _too_old(
     table: str, held: "Position | None", cutoff_ms: int, late_ms: int
 ) -> Iterator[tuple[dict[str, Any], bool]]:
     """Yield what may go, the values of `_delete`, and whether a sink has not taken it."""
-    everything = {"row": 2**62, "chunk": 2**62, "needed_ms": 2**62, "row_id": _row_id(table)}
+    row_id = "write_id" if table == WRITES.table else "id"
+    everything = {"row": 2**62, "chunk": 2**62, "needed_ms": 2**62, "row_id": row_id}
     if held is None:
         yield everything | {"cutoff_ms": cutoff_ms}, False
         return
@@ -124,10 +121,6 @@ def _too_old(
     taken = {"row": held.row, "chunk": held.chunk, "needed_ms": needed_ms}
     yield everything | taken | {"cutoff_ms": cutoff_ms}, False
     yield everything | {"cutoff_ms": late_ms}, True
-
-
-def _row_id(table: str) -> str:
-    return "write_id" if table == WRITES.table else "id"
 
 
 def _delete(

@@ -167,12 +167,12 @@ class SinkRunner:
 
     def _went_well(self) -> None:
         self._retry.works()
-        if self._said:
-            log.info("sink.works_again", sink=self._config.name)
-            self._said = ""
         if self.cursor.problem or not self._spoke_lately():
             self._progress.cursor = replace(self.cursor, problem="", alive_utc_s=time.time())
             self.cursor.write(self._path)
+        if self._said:
+            log.info("sink.works_again", sink=self._config.name)
+            self._said = ""
 
     def _spoke_lately(self) -> bool:
         return 0.0 <= time.time() - self.cursor.alive_utc_s < ALIVE_PERIOD_S

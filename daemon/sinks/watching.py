@@ -20,20 +20,13 @@ def lock_path(store: Path) -> Path:
     return cursor_path(store, "").with_name("lock")
 
 
-def lately(utc_s: float, now_utc_s: float) -> bool:
-    """Return whether a sink that said something then is not at one piece for too long."""
-    return 0.0 <= now_utc_s - utc_s < SILENT_AFTER_S
-
-
 def runs(store: Path) -> bool:
     """Return whether the process of the sinks runs: the system drops its lock when it ends, however it does."""
     try:
         with lock_path(store).open("rb") as lock:
             fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:
-        return False
+    except OSError as error:
+        return isinstance(error, BlockingIOError)
     return False
 
 
@@ -41,7 +34,7 @@ def silence(sink: str, store: Path, alive_utc_s: float, now_utc_s: float) -> str
     """Return why nothing is heard of a sink, '' when its process runs and has said something lately."""
     if not runs(store):
         return f"sink {sink}: its process does not run, so the history waits: start toolpoint-sink.service"
-    if lately(alive_utc_s, now_utc_s):
+    if 0.0 <= now_utc_s - alive_utc_s < SILENT_AFTER_S:
         return ""
     return (
         f"sink {sink}: its process runs and has been at one piece for more than {SILENT_AFTER_S:g} s: look at the "

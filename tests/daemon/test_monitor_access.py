@@ -2,6 +2,7 @@
 
 import asyncio
 import base64
+from ipaddress import ip_address
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -240,3 +241,21 @@ async def test_a_live_stream_of_http_basic_ends_with_its_account(tmp_path):
         accounts_file(tmp_path, otto="viewer")
         await asyncio.wait_for(reader.read(-1), 20.0)
         writer.close()
+
+
+async def test_a_forwarded_address_counts_from_a_trusted_proxy_alone(tmp_path):
+    async def tried(browser, k):
+        given = {"name": f"nobody{k}", "password": "wrong"}
+        return (await browser.ask("POST", "/api/v1/session", given, {"x-forwarded-for": f"10.9.8.{k}"})).status
+
+    async with monitor(tmp_path, users=accounts_file(tmp_path, anna="viewer")) as bench:
+        assert [await tried(bench.browser(), k) for k in range(6)] == [401] * 5 + [429]
+        await bench.rig.history.flushed()
+        assert {person for _, person in bench.events()} == {"127.0.0.1"}
+    (tmp_path / "behind").mkdir()
+    proxies = {"users": accounts_file(tmp_path, anna="viewer"), "trusted_proxies": [ip_address("127.0.0.1")]}
+    async with monitor(tmp_path / "behind", **proxies) as bench:
+        assert [await tried(bench.browser(), k) for k in range(6)] == [401] * 6
+        assert [await tried(bench.browser(), 1) for _ in range(5)] == [401] * 4 + [429]
+        await bench.rig.history.flushed()
+        assert ("wrong name or password for the monitor ('nobody3')", "10.9.8.3") in bench.events()

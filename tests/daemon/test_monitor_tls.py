@@ -100,6 +100,17 @@ async def test_a_certificate_that_was_replaced_counts_from_the_next_connection(t
             await before.get("/api/v1/session")
 
 
+@pytest.mark.parametrize("host", ["lathe-3.hall", "*.hall"])
+async def test_the_names_are_those_of_the_certificate_that_is_in_use(tmp_path, host):
+    async with opened(tmp_path, anna="viewer") as bench:
+        asked = {"host": "lathe-3.hall"}
+        assert (await bench.browser().get("/api/v1/session", **asked)).status == 403
+        bench.tls = make_certificate(tmp_path, host=host)
+        assert (await bench.browser().get("/api/v1/session", **asked)).status == 200
+        for other in ("lathe-3.shop", "a.lathe-3.hall", "hall"):
+            assert (await bench.browser().get("/api/v1/session", host=other)).status == 403
+
+
 def test_an_encrypted_key_is_refused_and_nobody_is_asked_for_its_password(tmp_path):
     """A terminal is there: what asks would hold the daemon's loop."""
     make_certificate(tmp_path)

@@ -1,6 +1,7 @@
 """Sinks beside the daemon: retention that waits up to a bound, and what status and the daemon say of them."""
 
 import asyncio
+import errno
 import json
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import pytest
 from click.testing import CliRunner
 from control_rig import machine
 from history_records import EPOCH_S, SMALL, StillClock
+from structlog.testing import capture_logs
 from tidied_store import housekeeping
 
 from config.schema import Configuration
@@ -81,6 +83,25 @@ def test_what_was_away_is_found_back_within_half_of_its_absence(tmp_path: Path, 
 
     SinkRunner(SINK, store, "mill", stop, server, wait).run()
     assert waited_s[0] - away_s <= 0.3 + 0.6 * away_s
+
+
+def test_a_cursor_that_cannot_be_written_is_said_once_and_not_with_every_try(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, stop, waits = tmp_path / "h.sqlite", threading.Event(), iter(range(6))
+    writer_of(store, EPOCH_S).close()
+
+    def full(_cursor: Cursor, path: Path) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    def wait(_duration_s: float) -> None:
+        if next(waits) == 5:
+            stop.set()
+
+    monkeypatch.setattr(Cursor, "write", full)
+    with capture_logs() as logs:
+        SinkRunner(SINK, store, "mill", stop, lambda _config, _machine: Taker(), wait).run()
+    assert [each["event"] for each in logs] == ["sink.failed", "sink.cursor"]
 
 
 def writer_of(store: Path, utc_s: float, **changes: object) -> HistoryWriter:

@@ -8,9 +8,11 @@ from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 
 import pytest
-from control_rig import FOREVER_S, Bench, Rig, Z, running
+from control_rig import FOREVER_S, Bench, HandClock, Rig, Z, machine, running
 from speed_machine import speed_machine
+from structlog.testing import capture_logs
 
+from daemon.app import Daemon
 from daemon.cnc.write_ahead import BEHIND, WriteAheadRecord
 from daemon.compensation.restart import STORE_BEHIND
 from daemon.history import HistoryReader, database, engine, writer
@@ -224,3 +226,15 @@ async def test_a_state_that_was_dropped_while_the_disk_was_full_is_in_the_store_
     store.close()
     with HistoryReader(store.path) as reader:
         assert reader.get_state("wanted") == {"z": False}
+
+
+async def test_the_log_says_that_the_store_works_again(tmp_path: Path) -> None:
+    configuration = machine(tmp_path)
+    daemon = Daemon(configuration, HandClock())
+    with capture_logs() as logs:
+        daemon._history.start()
+        with unwritable(configuration.history.path):
+            daemon._history.event("note", "while the disk was full", "anna")
+            await until(lambda: [each["event"] for each in logs] == ["history.problem"])
+        await until(lambda: [each["event"] for each in logs][-1] == "history.works_again")
+        daemon._history.close()

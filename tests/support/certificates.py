@@ -11,11 +11,11 @@ from cryptography.hazmat.primitives.asymmetric import ec
 HOST = "mill-7.hall"
 
 
-def make_certificate(folder, days=(-1, 1)):
+def make_certificate(folder, days=(-1, 1), host=HOST):
     """Write a certificate of its own authority, valid on these days from now, and its key; return what trusts it."""
     key = ec.generate_private_key(ec.SECP256R1())
     subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, HOST)])
-    names = [x509.DNSName(HOST), x509.DNSName("localhost"), x509.IPAddress(ip_address("10.0.0.17"))]
+    names = [x509.DNSName(host), x509.DNSName("localhost"), x509.IPAddress(ip_address("10.0.0.17"))]
     now = datetime.now(UTC)
     made = (
         x509.CertificateBuilder()

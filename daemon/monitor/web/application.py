@@ -64,8 +64,8 @@ PROBLEMS: dict[int | str, dict[str, Any]] = {
 }
 
 
-def monitor_application(parts: MonitorParts, names: Collection[str] = ()) -> ASGIApp:
-    """Return the application; `names` are those of its certificate."""
+def monitor_application(parts: MonitorParts, names: Callable[[], Collection[str]] = tuple) -> ASGIApp:
+    """Return the application; `names` tells those by which it is reached."""
     service = parts.configuration.service
     app = FastAPI(
         title="Toolpoint monitor",

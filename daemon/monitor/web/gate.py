@@ -45,9 +45,9 @@ class TooSlowError(Exception):
 class Gate:
     """Passes a request on when its host and origin are ours; bounds how long either side may take."""
 
-    def __init__(self, app: ASGIApp, names: Collection[str]) -> None:
-        """`names`: by which the monitor is reached, beside those of this computer itself."""
-        self._app, self._names = app, frozenset(name.lower() for name in names)
+    def __init__(self, app: ASGIApp, names: Callable[[], Collection[str]]) -> None:
+        """`names`: by which the monitor is reached now, beside those of this computer itself."""
+        self._app, self._names = app, names
         self._turn = asyncio.Lock()
         self._defect = RateLimit[tuple[str, Exception]](_log_defect)
 
@@ -90,7 +90,7 @@ class Gate:
         host, name = headers.get("host", ""), ""
         with suppress(ValueError):  # of half an IPv6 address, which is no name of ours
             name = urlsplit(f"//{host}").hostname or ""
-        if not (is_local_name(name) or name in self._names):
+        if not (is_local_name(name) or {name, f"*.{name.partition('.')[2]}"} & set(self._names())):
             return (
                 f"this monitor is not called {name[:80]!r}; use localhost, an address or a name of its certificate "
                 "(service.tls_certificate)"

@@ -3,12 +3,13 @@
 import asyncio
 import socket
 import ssl
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import h11
 import structlog
 import uvicorn
+from cryptography import x509
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
@@ -127,25 +128,35 @@ class Certificate:
         """Raise OSError where the files cannot be read or are no certificate and key."""
         self._certificate, self._key = certificate, key
         self._seen = stamp_of(certificate, key)
-        self.context = self._loaded()
+        self.context, self.names = self._loaded()
 
-    def _loaded(self) -> ssl.SSLContext:
+    def _loaded(self) -> tuple[ssl.SSLContext, set[str]]:
+        """Return what a connection needs, and the names that the certificate is for."""
         context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
-        for path in (self._certificate, self._key):
-            read_whole(path)  # of a pipe OpenSSL would wait for an end
+        pem, _ = (read_whole(path) for path in (self._certificate, self._key))  # OpenSSL waits for the end of a pipe
         context.load_cert_chain(self._certificate, self._key, password="")  # of an encrypted key nobody is asked
-        return context
+        return context, names_of_certificate(pem)
 
     def now(self) -> ssl.SSLContext:
         """Return the context for a new connection."""
         try:
             if (seen := stamp_of(self._certificate, self._key)) != self._seen:
                 self._seen = seen
-                self.context = self._loaded()
-        except OSError as error:
+                self.context, self.names = self._loaded()
+        except (OSError, ValueError) as error:
             log.warning("monitor.certificate_not_taken", file=str(self._certificate), problem=str(error))
         return self.context
+
+
+def names_of_certificate(pem: bytes) -> set[str]:
+    """Return the names and addresses that a certificate is for; raises ValueError when it is none."""
+    certificate = x509.load_pem_x509_certificate(pem)
+    try:
+        found = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except x509.ExtensionNotFound:
+        return set()
+    return {str(each).lower() for kind in (x509.DNSName, x509.IPAddress) for each in found.get_values_for_type(kind)}
 
 
 async def serve_web(
@@ -154,6 +165,7 @@ async def serve_web(
     port: int,
     certificate: Certificate | None = None,
     on_serving: Callable[[], None] = lambda: None,
+    trusted_proxies: Sequence[str] = (),
 ) -> None:
     """Serve until cancelled; raises OSError when the port is taken."""
     config = uvicorn.Config(
@@ -165,6 +177,7 @@ async def serve_web(
         log_level="critical",  # what a peer sends wrongly is its own affair, and would fill the log
         access_log=False,
         server_header=False,
+        forwarded_allow_ips=list(trusted_proxies),  # of nobody else X-Forwarded-For is believed
         timeout_keep_alive=IDLE_S,
         h11_max_incomplete_event_size=LONGEST_HEAD,
     )
