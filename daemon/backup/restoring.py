@@ -45,7 +45,7 @@ from daemon.backup.manifest import (
 from daemon.backup.places import Places, agreed_places, installed_places, targets
 from daemon.history.database import HistoryError, connect_reader, connect_writer
 from daemon.history.store_lock import WriterLock
-from daemon.state_store.documents import OutputFault, SpindleSpeedSwitch
+from daemon.state_store.documents import OutputFault, SensorLevelsDocument, SpindleSpeedSwitch
 from daemon.state_store.store import KEYS, document_json
 
 BESIDE_STORE = ("-wal", "-shm")
@@ -199,7 +199,8 @@ def disarm(store: Path, manifest: Manifest, person: str) -> None:
                 raise BackupError(f"the store in the back-up is damaged ({verdict}); take another one")
             now_ms = time.time_ns() // 1_000_000
             connection.execute("BEGIN IMMEDIATE")
-            connection.execute("DELETE FROM state")
+            about_history = (KEYS[SensorLevelsDocument],)  # without it, what a sensor said while it was wrong counts
+            connection.execute("DELETE FROM state WHERE key != ?", about_history)
             connection.execute("UPDATE generation SET text = lower(hex(randomblob(16)))")  # sinks begin again
             for document in (OutputFault(reasons=(said,)), SpindleSpeedSwitch(off_by="the restoration of a back-up")):
                 connection.execute(

@@ -11,6 +11,9 @@ from bad_input import _place, _said, _without
 from twin_loop import Disturbance, Frames, Place, TwinLoop
 from whole_loop import lagged_model
 
+from daemon.backup.manifest import Manifest
+from daemon.backup.restoring import disarm
+from models.control.state import OperatorRequest
 from models.records import FloatArray, OutputState
 from models.thermal.linear import LinearModel
 
@@ -195,6 +198,48 @@ def test_nor_does_it_over_a_restart_while_it_is_wrong(tmp_path: Path) -> None:
     off_um, states = run(tmp_path, disturbance, PLACE, 130, ahead_of_lags(), pauses=(40,), positionings=(68,))
     assert states[-1] is OutputState.ACTIVE
     assert np.abs(off_um[80:] - off_um[80]).max() <= 0.5
+
+
+class Restored(TwinLoop):
+    """A back-up of just before is restored; a person acknowledges, and switches on again."""
+
+    async def _pause(self) -> None:
+        await self.loop.rig.history.flushed()
+        await self.loop.end()
+        self.loop.clock.monotonic_s += 20.0
+        disarm(self.loop.configuration.history.path, Manifest.model_construct(created="just now"), "anna")
+        self._listen()
+        await self._start()
+
+    async def _program(self) -> None:
+        await super()._program()
+        rig, moment = self.loop.rig, self.moment - self.before
+        if moment == 63:
+            assert rig.acknowledge("anna") == ""
+        if moment == 65:
+            assert rig.control.request(OperatorRequest(enable=frozenset({"y", "z"})), "anna") == ""
+
+
+def test_nor_does_it_where_a_back_up_is_restored(tmp_path: Path) -> None:
+    twin, loop = (
+        Restored(
+            tmp_path / name,
+            ahead_of_lags(),
+            PLACE,
+            "checked",
+            disturbance=bad,
+            before=BEFORE,
+            reads_past=True,
+            pauses=(60,),
+            positionings=(68,),
+        )
+        for name, bad in (("twin", None), ("loop", comes_back_wrong(0, range(5, 25), 50, 192)))
+    )
+    for each in (twin, loop):
+        asyncio.run(each.run(130))
+    off_um = np.array(loop.applied_um) - np.array(twin.applied_um)
+    assert loop.states[-1] is OutputState.ACTIVE
+    assert np.abs(off_um[80:] - off_um[72]).max() <= 0.5
 
 
 @pytest.mark.parametrize("codes", [48, 192])
