@@ -129,7 +129,6 @@ def _module_of(command: str) -> ModuleType:
 
 
 def _module_of_group(command: str) -> ModuleType:
-    """Do so for what has commands of its own."""
     match command:
         case "fleet":
             from daemon.cli.fleet import group as fleet_group

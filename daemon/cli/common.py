@@ -21,6 +21,7 @@ DEFAULT_CONFIGURATION = Path("/etc/toolpoint/toolpoint.yaml")
 CONFIGURATION_VARIABLE = "TOOLPOINT_CONFIG"
 """Environment variable that names another."""
 FAILED = 1
+"""Exit status when nothing was done, or something did not hold."""
 BAD_USAGE = 2
 """Exit status for bad usage or configuration."""
 Command = TypeVar("Command", bound=Callable[..., Any])

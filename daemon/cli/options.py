@@ -32,31 +32,36 @@ PLACE = click.Choice(["nose", "holder", "tool"])
 LOBES_METHOD = click.Choice(["zoa", "sdm"])
 
 
-def _writable(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
-    """Refuse a destination before the work is done whose result it shall take."""
-    if value is None or value == "-":
+def writable(*endings: str) -> Callable[[click.Context, click.Parameter, Any], Any]:
+    """Return a callback that refuses a file before the work is done whose result it shall take."""
+
+    def check(ctx: click.Context, param: click.Parameter, value: str | Path | None) -> str | Path | None:
+        if value is None or str(value) == "-":
+            return value
+        path = Path(value)
+        if endings and path.suffix.lower() not in endings:
+            raise click.BadParameter(f"{path}: its name ends in {' or '.join(endings)}")
+        if path.is_dir():
+            raise click.BadParameter(f"{path} is a folder; name a file")
+        if not path.parent.is_dir():
+            raise click.BadParameter(f"{path}: there is no folder {path.parent}")
+        if not os.access(path if path.exists() else path.parent, os.W_OK):
+            raise click.BadParameter(f"{path} cannot be written (permission denied)")
         return value
-    path = Path(value)
-    if path.is_dir():
-        raise click.BadParameter(f"{value} is a folder; name a file")
-    if not path.parent.is_dir():
-        raise click.BadParameter(f"{value}: there is no folder {path.parent}")
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise click.BadParameter(f"{value} cannot be written (permission denied)")
-    return value
+
+    return check
 
 
 json_option = option(
     "--json",
     "json_path",
     metavar="FILE",
-    callback=_writable,
+    callback=writable(),
     help="Write the result as JSON to FILE, '-' for standard output.",
 )
 
 
 def parse_hours(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[float, float] | None:
-    """Return the two hours of a text such as 0-32."""
     if value is None:
         return None
     first, _, last = value.partition("-")
@@ -97,7 +102,7 @@ class ProgressBar:
     def __exit__(self, *_: object) -> None:
         self._progress.stop()
 
-    def show(self, what: str, done: int, total: int) -> None:
+    def show(self, what: str, done: float, total: float) -> None:
         """Show how far a piece of work is."""
         if what not in self._tasks:
             self._tasks[what] = self._progress.add_task(what, total=total)
@@ -120,38 +125,18 @@ trust_option = option(
     is_flag=True,
     help="Take the units as stated (m/N over Hz), although the file's structure cannot have such a response.",
 )
-
-
-def _picture(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
-    """Refuse a picture that cannot be written before the work is done."""
-    if value is None:
-        return None
-    if value.suffix.lower() not in PICTURES:
-        raise click.BadParameter(f"{value}: a picture ends in {' or '.join(PICTURES)}")
-    if not value.parent.is_dir():
-        raise click.BadParameter(f"{value}: there is no folder {value.parent}")
-    return value
-
-
-def destination(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
-    """Refuse a file that cannot be written before the work is done."""
-    if value is not None and (value.is_dir() or not value.parent.is_dir()):
-        raise click.BadParameter(f"{value}: name a file in a folder that exists")
-    return value
-
-
 csv_option = option(
     "--csv",
     "csv_path",
     metavar="FILE",
     type=FILE,
-    callback=destination,
+    callback=writable(),
     help="Write the response as frequency_hz,receptance_re,receptance_im (Hz, m/N).",
 )
 picture_option = option(
     "--picture",
     metavar="FILE",
     type=FILE,
-    callback=_picture,
+    callback=writable(*PICTURES),
     help="Draw the result: .png (still) or .html (to zoom into, complete in one file).",
 )

@@ -3,14 +3,14 @@
 from pathlib import Path
 
 from daemon.cli.common import FILE, option, refuse, say
-from daemon.cli.options import destination
+from daemon.cli.options import writable
 
 html_option = option(
     "--html",
     "html_path",
     metavar="FILE",
     type=FILE,
-    callback=destination,
+    callback=writable(),
     help="Draw the result as a page to zoom into, complete in one file.",
 )
 

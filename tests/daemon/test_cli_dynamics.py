@@ -42,7 +42,7 @@ def test_a_written_response_is_a_measurement_for_identification(spindle: Path, t
     table = np.loadtxt(path, delimiter=",", skiprows=1)
     assert table[:, 1].tolist() == found["receptance_re"]
     assert answer("identify", spindle, path, "--fixed", "file")["log_error"] < 1e-6
-    assert "a folder that exists" in refusal("frf", spindle, "--csv", tmp_path / "nowhere" / "frf.csv")
+    assert "there is no folder" in refusal("frf", spindle, "--csv", tmp_path / "nowhere" / "frf.csv")
 
 
 @pytest.mark.parametrize("parameters", ["5", "7"])
@@ -216,7 +216,7 @@ def test_pictures(spindle: Path, tmp_path: Path) -> None:
         start = path.read_bytes()[:200]
         assert start.startswith(b"\x89PNG") if path.suffix == ".png" else b"<html" in start
         assert path.stat().st_size > 10_000
-    assert "a picture ends in" in refusal("modes", spindle, "--picture", tmp_path / "p.gif")
+    assert "its name ends in .png or .html" in refusal("modes", spindle, "--picture", tmp_path / "p.gif")
 
 
 @pytest.mark.parametrize("name", shipped_spindles())

@@ -1,16 +1,12 @@
 """`toolpoint backup` and `toolpoint restore`."""
 
-import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
 import click
 
-from daemon.cli.common import FILE, config_option, option, read_configuration, refuse, say, write_json
+from daemon.cli.common import FAILED, FILE, config_option, option, read_configuration, refuse, say, write_json
 from daemon.cli.options import json_option
-
-FAILED = 1
-"""Exit status when a back-up or restoration is refused or fails."""
 
 
 @click.command()
@@ -42,8 +38,7 @@ def backup(destination: Path | None, keep: int | None, config_path: Path, json_p
         if folder_wanted:
             destination.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        say(f"{destination}: this folder for back-ups cannot be made ({error.strerror})")
-        sys.exit(FAILED)
+        refuse(f"{destination}: this folder for back-ups cannot be made ({error.strerror})", FAILED)
     into_folder = destination.is_dir()
     if not into_folder and destination.suffix != ".tar":
         refuse(f"{destination}: there is no such folder; mount it or make it, or name a file that ends in .tar", FAILED)

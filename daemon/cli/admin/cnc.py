@@ -12,12 +12,9 @@ import yaml
 
 from config.schema.base import ENDPOINT_PATTERN
 from daemon.cli.command_group import Group
-from daemon.cli.common import FILE, config_option, option, read_configuration, refuse, say, write_json
+from daemon.cli.common import FAILED, FILE, config_option, option, read_configuration, refuse, say, write_json
 from daemon.cli.options import FiniteFloat, json_option
 from models.json_values import printable
-
-FAILED = 1
-"""Exit status when the control could not be asked."""
 
 
 @click.group(cls=Group)

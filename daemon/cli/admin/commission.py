@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from config.files import read_whole, sha256_of
-from daemon.cli.common import BAD_USAGE, FILE, config_option, option, read_configuration, refuse, say
+from daemon.cli.common import BAD_USAGE, FAILED, FILE, config_option, option, read_configuration, refuse, say
 from daemon.cli.options import EXISTING_FILE, POSITIVE, FiniteFloat
 
 if TYPE_CHECKING:
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from daemon.commissioning.procedure import Plan
     from daemon.commissioning.session import Sources
 
-NOT_DONE, INTERRUPTED = 1, 130
-"""Exit status of a refused and of an interrupted commissioning."""
+INTERRUPTED = 130
+"""Exit status of an interrupted commissioning."""
 
 
 def _pairs(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
@@ -215,7 +215,6 @@ def _refuse_of_slopes(
     positions: dict[str, tuple[float, float]],
     readings: dict[tuple[str, str], tuple[float, float, float]],
 ) -> None:
-    """Refuse positions of what is no slope, and readings of a slope beforehand."""
     slopes = configuration.compensation.slopes
     if wrong := sorted(set(positions) - set(slopes)):
         refuse(f"--position: {wrong[0]} is no slope; slopes are {', '.join(slopes) or 'none'} (compensation.axes)")
@@ -267,7 +266,7 @@ def _commission(
             _write_report(report_path, report_html(record, configuration))
     except (CommissioningRefusedError, CommissioningError, SigningError, DriverError) as error:
         say(f"Not commissioned: {error}")
-        return NOT_DONE
+        return FAILED
     except asyncio.CancelledError:
         say("Not commissioned: interrupted")
         return INTERRUPTED
@@ -277,7 +276,6 @@ def _commission(
 
 
 def _compare_guard(configuration: "Configuration", path: Path) -> None:
-    """Say when the guard that is loaded is not the one that this configuration makes."""
     from drivers.guard.programs import guard_program
     from drivers.guard.text import GuardTextError
 
@@ -309,7 +307,7 @@ def _check(configuration: "Configuration", record_file: Path | None, report_path
         record = load_commissioning(record_file)
     except CommissioningError as error:
         say(str(error))
-        return NOT_DONE
+        return FAILED
     click.echo(f"{record_file}: format {record.format_version}, SHA-256 {record_digest(record)}")
     click.echo(f"control {record.cnc_identity}, guard version {record.guard_version or 'not named'}")
     click.echo(f"by {record.person} on {record.date}, with {record.instrument or 'an instrument that is not named'}")
@@ -331,6 +329,6 @@ def _check(configuration: "Configuration", record_file: Path | None, report_path
     )
     if inhibit:
         say(f"It does not permit what the configuration wants: {inhibit}")
-        return NOT_DONE
+        return FAILED
     click.echo("It fits the configuration. The control's identity and the guard's version are compared by the daemon.")
     return 0

@@ -1,16 +1,12 @@
 """`toolpoint keys`: whose signatures count, and signing what stands on the machine already."""
 
-import sys
 from pathlib import Path
 
 import click
 
 from daemon.cli.command_group import Group
-from daemon.cli.common import config_option, read_configuration, say, write_json
+from daemon.cli.common import FAILED, config_option, read_configuration, refuse, say, write_json
 from daemon.cli.options import json_option
-
-FAILED = 1
-"""Exit status when nothing was made or signed."""
 
 
 @click.group(cls=Group)
@@ -49,8 +45,7 @@ def make(name: str, config_path: Path) -> None:
         public.chmod(0o644)
     except OSError as error:
         cause = f"the public key cannot be put there ({error.strerror})"
-        say(f"{public}: {cause}; an account that may write there must do it")
-        sys.exit(FAILED)
+        refuse(f"{public}: {cause}; an account that may write there must do it", FAILED)
     say(f"public key: {public} ({key.number}); keep a copy of both apart")
     say("what is not signed is refused from now on: `toolpoint keys sign`")
 
@@ -108,8 +103,7 @@ def sign(yes: bool, config_path: Path) -> None:
         try:
             resigning.sign(each, key)
         except OSError as error:
-            say(f"{each.path}: cannot be signed ({error.strerror}) by this account")
-            sys.exit(FAILED)
+            refuse(f"{each.path}: cannot be signed ({error.strerror}) by this account", FAILED)
         say(f"signed {each.path}")
     if not waiting:
         say("nothing waits for a signature")

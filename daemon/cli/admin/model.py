@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from daemon.cli.command_group import Group
-from daemon.cli.common import config_option, option, read_configuration, refuse, say, write_json
+from daemon.cli.common import FAILED, config_option, option, read_configuration, refuse, say, write_json
 from daemon.cli.operate.history_view import duration
 from daemon.cli.options import NOT_A_FOLDER, POSITIVE, json_option
 
@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from config.records.release_record import ReleaseRecord
     from daemon.model_release.releasing import Kind
 
-REFUSED = 1
-"""Exit status when a model is refused."""
 note_option = option("--note", default="", help="Why, for the record.", show_default=False)
 bearings_option = option(
     "--bearings", is_flag=True, help="The bearing model of the spindle speed, not the thermal model."
@@ -87,7 +85,7 @@ def release_command(
             kind = _kind(bearings)
             record = release(configuration, path, person=person_now(), note=note, kind=kind, trained_on=trained_on)
     except (ReleaseError, OSError) as error:
-        refuse(str(error), REFUSED)
+        refuse(str(error), FAILED)
     if record is None:
         say("no proposal that the policy lets through; `toolpoint model list` shows what waits")
         write_json(json_path, None)
@@ -113,7 +111,7 @@ def rollback(number: int | None, bearings: bool, note: str, config_path: Path, j
         kind, person = _kind(bearings), releasing.person_now()
         record = releasing.rollback(configuration, person=person, to=number, note=note, kind=kind)
     except (ReleaseError, OSError) as error:
-        refuse(str(error), REFUSED)
+        refuse(str(error), FAILED)
     _done(record, bearings, json_path)
 
 
@@ -246,7 +244,7 @@ def drift(config_path: Path, last_s: float, bound: float | None, json_path: str 
             "of displacements with a model, so there is nothing to judge by"
         )
     if any(each["retrain"] for each in in_force(found)):
-        raise SystemExit(REFUSED)
+        raise SystemExit(FAILED)
 
 
 def _weeks(count: int) -> str:

@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING, TextIO
 import click
 
 from daemon.cli.command_group import Group
-from daemon.cli.common import FILE, config_option, option, read_configuration, refuse, say, write_json
+from daemon.cli.common import FAILED, FILE, config_option, option, read_configuration, refuse, say, write_json
 from daemon.cli.options import json_option
 
 if TYPE_CHECKING:
     from daemon.monitor.accounts import Account
 
-NOTHING_DONE = 1
-"""Exit status when there is no such account, or one already."""
 
 file_option = option("--file", "file", type=FILE, help="File of the accounts; without: service.users.")
 password_option = click.option(
@@ -51,7 +49,7 @@ def add(name: str, role: str, password_file: TextIO | None, file: Path | None, c
         refuse(f"{name!r} is no name of an account; it begins with a letter or digit, then letters, digits and . _ @ -")
     if name in accounts:
         words = f"{path}: there is an account {name} already; `toolpoint users password {name}` changes its password"
-        refuse(words, NOTHING_DONE)
+        refuse(words, FAILED)
     accounts[name] = Account(name=name, role=Role(role), password_hash=hashed(_password(name, password_file)))
     write_accounts(path, accounts)
     say(f"{path}: {name} may log in as {role}")
@@ -120,7 +118,7 @@ def _accounts(file: Path | None, config_path: Path) -> "tuple[Path, dict[str, Ac
 
 def _known(name: str, path: Path, accounts: "dict[str, Account]") -> None:
     if name not in accounts:
-        refuse(f"{path}: there is no account {name}; there are {', '.join(accounts) or 'none'}", NOTHING_DONE)
+        refuse(f"{path}: there is no account {name}; there are {', '.join(accounts) or 'none'}", FAILED)
 
 
 def _password(name: str, file: TextIO | None) -> str:

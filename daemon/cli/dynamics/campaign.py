@@ -7,23 +7,10 @@ import click
 
 from daemon.cli.common import FILE, option, refuse, say, show_warnings, write_json
 from daemon.cli.dynamics.identify import vary_option
-from daemon.cli.options import PLACE, POSITIVE, FiniteFloat, json_option, rotary_option, trust_option
+from daemon.cli.options import PLACE, POSITIVE, FiniteFloat, json_option, rotary_option, trust_option, writable
 
 if TYPE_CHECKING:
     from config.machine.spindle import Rotary
-
-
-def _writable(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
-    if value is not None and not value.parent.is_dir():
-        raise click.BadParameter(f"{value}: there is no folder {value.parent}")
-    return value
-
-
-def _report(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
-    """Refuse a report that cannot be written before the work is done."""
-    if value is not None and value.suffix.lower() != ".html":
-        raise click.BadParameter(f"{value}: a report ends in .html")
-    return _writable(ctx, param, value)
 
 
 @click.command()
@@ -66,8 +53,8 @@ def _report(ctx: click.Context, param: click.Parameter, value: Path | None) -> P
     help="Leave out the series of 7 and 12 parameters (with --vary: of all), which take longer.",
 )
 @vary_option
-@option("--model", "model_path", metavar="FILE", type=FILE, callback=_writable, help="Write the model (JSON).")
-@option("--report", "report_path", metavar="FILE", type=FILE, callback=_report, help="Write a report (HTML).")
+@option("--model", "model_path", metavar="FILE", type=FILE, callback=writable(), help="Write the model (JSON).")
+@option("--report", "report_path", metavar="FILE", type=FILE, callback=writable(".html"), help="Write a report (HTML).")
 @json_option
 def campaign(
     folders: tuple[Path, ...],
@@ -167,7 +154,12 @@ def simulate_campaign(folder: Path, day: int, step_hz: float) -> None:
 @option("--near-hz", type=POSITIVE, help="Follow the resonance nearest to this [Hz]. Without: the highest.")
 @option("--every-min", type=POSITIVE, default=1.0, help="Results apart [min].")
 @option(
-    "--report", "report_path", metavar="FILE", type=FILE, callback=_report, help="Write the curves over time (HTML)."
+    "--report",
+    "report_path",
+    metavar="FILE",
+    type=FILE,
+    callback=writable(".html"),
+    help="Write the curves over time (HTML).",
 )
 @json_option
 def track(
@@ -191,11 +183,7 @@ def track(
     from daemon.cli.options import ProgressBar
     from daemon.workbench.dynamics.campaign import read_temperatures
     from daemon.workbench.dynamics.responses import ResponseError, parts_at
-    from daemon.workbench.dynamics.tracking import (
-        track_recording,
-        tracking_summary,
-        write_tracking_page,
-    )
+    from daemon.workbench.dynamics.tracking import track_recording, tracking_summary, write_tracking_page
     from models.thermomechanics.artifact import model_from_json
 
     files = {"x": spindle_path, "y": spindle_y_path or spindle_path}

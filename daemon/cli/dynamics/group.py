@@ -51,12 +51,7 @@ if TYPE_CHECKING:
 @picture_option
 @json_option
 def sensitivity(
-    spindle_path: Path,
-    rotary: "Rotary | None",
-    percent: float,
-    count: int,
-    picture: Path | None,
-    json_path: str | None,
+    spindle_path: Path, rotary: "Rotary | None", percent: float, count: int, picture: Path | None, json_path: str | None
 ) -> None:
     """Change of the modes of SPINDLE when the moduli of its composites are off by a percentage.
 

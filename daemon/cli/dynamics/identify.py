@@ -168,7 +168,6 @@ def contact(
 
 
 def show_identified(found: dict[str, Any]) -> None:
-    """Write what was identified on standard error."""
     show_warnings(found)
     for name, value in found["values"].items():
         low, high = found["interval"][name]

@@ -11,14 +11,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from daemon.cli.command_group import Group
-from daemon.cli.common import FILE, option, refuse, say, write_json
-from daemon.cli.options import EXISTING_FILE, POSITIVE, ProgressBar, destination, directory_option, json_option
+from daemon.cli.common import FAILED, FILE, option, refuse, say, write_json
+from daemon.cli.options import EXISTING_FILE, POSITIVE, ProgressBar, directory_option, json_option, writable
 
 if TYPE_CHECKING:
     from config.schema.plant_store import PlantStoreConfig
-
-NOT_STORED = 1
-"""Exit status where nothing is stored now."""
 
 
 @click.command()
@@ -28,7 +25,7 @@ NOT_STORED = 1
 @option("--channels", help="Displacement channels, separated by commas. Without: those that all machines have.")
 @option("--workers", type=click.IntRange(1, 1024), default=1, help="Processes that read and fit machines.")
 @option("--dask", metavar="ADDRESS", help="Let the workers of a Dask cluster do it; they must see the same files.")
-@option("-o", "--output", type=FILE, callback=destination, help="The file of the type, for `thermal train --prior`.")
+@option("-o", "--output", type=FILE, callback=writable(), help="The file of the type, for `thermal train --prior`.")
 @json_option
 def train(
     recordings: tuple[Path, ...],
@@ -140,7 +137,7 @@ def _say_status(config: "PlantStoreConfig", late_s: float, json_path: str | None
     try:
         found = store_status(config)
     except SinkError as error:
-        refuse(str(error), NOT_STORED)
+        refuse(str(error), FAILED)
     write_json(json_path, found)
     machines = found["machines"]
     for each in machines if json_path is None else ():
@@ -148,12 +145,12 @@ def _say_status(config: "PlantStoreConfig", late_s: float, json_path: str | None
         click.echo(f"{each['machine']}: {each['late_s']:.0f} s late, its newest row is of {newest}")
     arrives = any(each["late_s"] <= late_s for each in machines)
     if not found["running"]:
-        refuse("no store is connected to the database: see `systemctl status toolpoint-store`", NOT_STORED)
+        refuse("no store is connected to the database: see `systemctl status toolpoint-store`", FAILED)
     if not arrives:
         refuse(
             f"no machine's newest row is younger than {late_s:g} s: see that the sinks of the machines run, and that "
             f"the broker lets this store read {config.mqtt.topic}/+/history/+",
-            NOT_STORED,
+            FAILED,
         )
 
 

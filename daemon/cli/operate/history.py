@@ -1,5 +1,6 @@
 """`toolpoint history` and `toolpoint export`: look into the store, also while the daemon writes it."""
 
+import itertools
 import math
 import shlex
 import sys
@@ -23,7 +24,7 @@ from daemon.cli.operate.history_view import (
     until,
     view,
 )
-from daemon.cli.options import json_option
+from daemon.cli.options import ProgressBar, json_option
 from daemon.history import HistoryReader
 from daemon.history.columns.kinds import TEMPERATURES
 from daemon.history.reader import TABLES
@@ -70,7 +71,6 @@ def history(what: str, config_path: Path, store: Path | None, last_s: float, lim
 
 
 def summary(reader: HistoryReader) -> dict[str, Any]:
-    """Return what the store holds."""
     kinds = {}
     for kind in TABLES:
         extent = reader.extent(kind)
@@ -241,16 +241,13 @@ def _write_recordings(
 
 
 def _write(table: Table, output: Path, format_: str) -> int:
-    from rich.console import Console
-    from rich.progress import Progress
-
     from daemon.history.export import complete_file, write_csv, write_parquet
 
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(f"exporting {table.what}", total=table.window_count)
+    done = itertools.count(1)
+    with ProgressBar() as bar:
 
         def advance() -> None:
-            progress.advance(task)
+            bar.show(f"exporting {table.what}", next(done), table.window_count)
 
         if str(output) == "-":
             return write_csv(table, sys.stdout, advance)

@@ -7,13 +7,10 @@ from typing import Any
 
 import click
 
-from daemon.cli.common import FILE, config_option, option, read_configuration, refuse, say, write_json
+from daemon.cli.common import FAILED, FILE, config_option, option, read_configuration, refuse, say, write_json
 from daemon.cli.options import json_option
 from daemon.monitor.control_client import ControlClient, DaemonUnreachableError
 from daemon.monitor.control_socket import RequestError
-
-NOT_DONE = 1
-"""Exit status when the daemon refused or could not be reached."""
 
 socket_option = option("--socket", "socket_path", type=FILE, help="Socket of the daemon (else the configuration's).")
 speed_option = option(
@@ -32,7 +29,7 @@ def daemon_at(config_path: Path, socket_path: Path | None) -> Iterator[ControlCl
         finally:
             client.close()
     except (DaemonUnreachableError, RequestError) as error:
-        refuse(str(error), NOT_DONE)
+        refuse(str(error), FAILED)
 
 
 def _tell(outcome: Mapping[str, Any]) -> None:

@@ -10,15 +10,13 @@ import click
 
 from config.schema import Configuration
 from daemon.cli.command_group import Group
-from daemon.cli.common import config_option, read_configuration, refuse, write_json
+from daemon.cli.common import FAILED, config_option, read_configuration, refuse, write_json
 from daemon.cli.options import json_option
 from daemon.ending import set_by_signals
 from daemon.history.database import HistoryError
 from daemon.sinks.running import run_sinks, sink_status
 from daemon.telemetry.logs import configure_logging
 from daemon.telemetry.sd_notify import ServiceManager
-
-NOT_SENT = 1
 
 
 @click.group(cls=Group)
@@ -40,7 +38,7 @@ def run(config_path: Path) -> None:
     try:
         run_sinks(configuration, stop)
     except HistoryError as error:
-        refuse(str(error), NOT_SENT)  # that passes, so the service manager starts this again
+        refuse(str(error), FAILED)  # that passes, so the service manager starts this again
 
 
 @sink.command()

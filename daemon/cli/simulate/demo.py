@@ -12,7 +12,7 @@ from typing import Any
 import click
 import yaml
 
-from daemon.cli.common import option, refuse, say, write_json
+from daemon.cli.common import FAILED, option, refuse, say, write_json
 from daemon.cli.options import EXISTING, POSITIVE, FiniteFloat, directory_option, json_option
 from daemon.monitor.control_client import DaemonUnreachableError
 from daemon.simulation import SimulationError
@@ -163,8 +163,7 @@ def _show(running: RunningSimulation, until_s: float, trail: Trail) -> dict[str,
             report = trail.take(running.reports)
             beside = [truth_panel(report, trail.axes)] if report and "truth" in report else []
             live.update(
-                status_view(status, beside, footer=f"in a browser: {page_address(port)} · Ctrl-C ends"),
-                refresh=True,
+                status_view(status, beside, footer=f"in a browser: {page_address(port)} · Ctrl-C ends"), refresh=True
             )
 
         with contextlib.suppress(KeyboardInterrupt):
@@ -184,8 +183,6 @@ def say_result(trail: Trail, status: dict[str, Any], port: int | None) -> None:
         say(f"the pages were at {page_address(port)}; `toolpoint demo` shows them again")
 
 
-BROKEN_OFF = 1
-"""Exit status when the run could not be brought to its end."""
 LOGS = ("daemon.log", "simulator.log")
 LAST_LINES = 5
 """Of each log this many lines are shown when its folder is removed."""
@@ -203,7 +200,7 @@ def simulation_folder(directory: Path | None) -> Iterator[Path]:
                 say("\n".join([str(error), *last_lines(folder)]))
             else:
                 say(f"{error}; logs are in {folder}")
-            sys.exit(BROKEN_OFF)
+            sys.exit(FAILED)
 
 
 def last_lines(folder: Path) -> Iterator[str]:

@@ -8,21 +8,10 @@ from typing import Any, cast
 import click
 
 from daemon.cli.common import option, refuse, say, write_json
-from daemon.cli.options import NOT_A_FOLDER, FiniteFloat, directory_option, json_option
+from daemon.cli.options import NOT_A_FOLDER, FiniteFloat, directory_option, json_option, writable
 from daemon.cli.simulate.demo import simulation_folder
 
 PLOTS = (".html", ".png", ".svg")
-
-
-def _plottable(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
-    """Refuse a picture that cannot be drawn before the experiment is made."""
-    if value is None:
-        return None
-    if value.suffix not in PLOTS:
-        raise click.BadParameter(f"{value}: the name must end with {', '.join(PLOTS)}")
-    if not value.parent.is_dir():
-        raise click.BadParameter(f"{value}: there is no folder {value.parent}")
-    return value
 
 
 @click.command()
@@ -54,7 +43,7 @@ def _plottable(ctx: click.Context, param: click.Parameter, value: Path | None) -
 @option(
     "--plot",
     type=NOT_A_FOLDER,
-    callback=_plottable,
+    callback=writable(*PLOTS),
     help="Draw both distributions and the moves into FILE (.html, .png or .svg).",
 )
 @directory_option

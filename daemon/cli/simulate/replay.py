@@ -10,7 +10,7 @@ import numpy as np
 
 from config.files import read_whole
 from daemon.cli.common import option, refuse, say, write_json
-from daemon.cli.options import EXISTING_FILE, FOLDER, NOT_NEGATIVE, POSITIVE, json_option
+from daemon.cli.options import EXISTING_FILE, FOLDER, NOT_NEGATIVE, POSITIVE, ProgressBar, json_option
 from daemon.cli.pages import html_option, write_page
 from daemon.cli.simulate.demo import simulation_folder
 from daemon.history.reader import HistoryReader
@@ -209,9 +209,5 @@ def _enable(running: RunningSimulation) -> None:
 
 
 def _follow(running: RunningSimulation, until_s: float) -> None:
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("playing", total=until_s)
-        watch(running, until_s, lambda _: progress.update(task, completed=max(running.time_s, 0.0)), 0.5)
+    with ProgressBar() as bar:
+        watch(running, until_s, lambda _: bar.show("playing", max(running.time_s, 0.0), until_s), 0.5)

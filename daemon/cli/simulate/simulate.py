@@ -112,11 +112,7 @@ def simulate(
             work = packed_simulation(configuration, clock, packs_path, report)
         elif recording is not None:
             work = recorded_simulation(
-                configuration,
-                clock,
-                recording,
-                recording_map=map_of(recording, map_path),
-                hours=hours,
+                configuration, clock, recording, recording_map=map_of(recording, map_path), hours=hours
             )
         else:
             work = simulated_day(configuration, clock, day, standing=standing)

@@ -204,13 +204,7 @@ def speed(resonance_hz: float, offset_hz: float, teeth: int, lobe: int, json_pat
     say(f"{speed_rpm:.1f} 1/min")
     write_json(
         json_path,
-        {
-            "speed_rpm": speed_rpm,
-            "resonance_hz": resonance_hz,
-            "offset_hz": offset_hz,
-            "teeth": teeth,
-            "lobe": lobe,
-        },
+        {"speed_rpm": speed_rpm, "resonance_hz": resonance_hz, "offset_hz": offset_hz, "teeth": teeth, "lobe": lobe},
     )
 
 

@@ -33,12 +33,7 @@ def _passages(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]
 
 @click.command()
 @click.argument("recording_path", metavar="RECORDING", type=FILE)
-@option(
-    "--speed-rpm",
-    type=POSITIVE,
-    required=True,
-    help="Spindle speed [1/min], to within 3 %.",
-)
+@option("--speed-rpm", type=POSITIVE, required=True, help="Spindle speed [1/min], to within 3 %.")
 @option("--teeth", type=click.IntRange(1, 100), required=True, help="Number of teeth.")
 @option(
     "--passage",

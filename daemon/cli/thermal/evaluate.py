@@ -91,11 +91,7 @@ def evaluate(
     leave_out = _protocol(train_hours, test_hours, leave_out_cycles, leave_out_runs)
     recording_map = None if map_path is None else load_recording_map(map_path)
     protocol = Protocol(
-        train_hours=train_hours,
-        test_hours=test_hours,
-        leave_out=leave_out,
-        probe_min=probe_minutes,
-        faults=faults,
+        train_hours=train_hours, test_hours=test_hours, leave_out=leave_out, probe_min=probe_minutes, faults=faults
     )
     with ProgressBar() as bar:
         read, warnings = read_recordings(recordings, recording_map, bar.show, common=common_columns)

@@ -6,16 +6,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from daemon.cli.command_group import Group
-from daemon.cli.common import (
-    CONFIGURATION_VARIABLE,
-    DEFAULT_CONFIGURATION,
-    FILE,
-    option,
-    refuse,
-    say,
-    write_json,
-)
-from daemon.cli.options import POSITIVE, ProgressBar, common_columns_option, destination, hours_option, json_option
+from daemon.cli.common import CONFIGURATION_VARIABLE, DEFAULT_CONFIGURATION, FILE, option, refuse, say, write_json
+from daemon.cli.options import POSITIVE, ProgressBar, common_columns_option, hours_option, json_option, writable
 from daemon.cli.thermal.campaign import campaign
 from daemon.cli.thermal.evaluate import MODELS, evaluate, settings_text
 from daemon.cli.thermal.report import report
@@ -112,7 +104,7 @@ thermal.add_command(sensors)
 @option("--without", multiple=True, metavar="NAME", help="Leave the recording of this file name out; may be repeated.")
 @option("--recent", type=click.IntRange(min=1), help="Train on the last so many of the recordings alone.")
 @option("--split-at-speed", is_flag=True, help="Take no difference across a change of spindle speed.")
-@option("--map-out", type=FILE, callback=destination, help="Write the proposed map here, and train with it.")
+@option("--map-out", type=FILE, callback=writable(), help="Write the proposed map here, and train with it.")
 @option("-o", "--output", required=True, type=FILE, help="The model's file.")
 @json_option
 def train(
@@ -197,10 +189,7 @@ def train(
 
 
 def _proposed(recording: Path, map_out: Path | None) -> "RecordingMap | None":
-    """Return the map that the columns of a recording suggest; None where names are usual and no map is wished.
-
-    Ends with the map to paste, unless it was wished as a file, and nothing is lacking.
-    """
+    """Return the map that a recording's columns suggest; None where none is wished or lacking, else it ends with it."""
     from config.files import write_whole
     from daemon.workbench.thermal.reading import proposal
 

@@ -24,7 +24,7 @@ def draw(path: Path, setting: Setting, account: Account, moves: Sequence[Move], 
     _distributions(upper.subplots(1, 2, width_ratios=(2.0, 1.0)), moves, numbers)
     _series(lower.subplots(1, 2, width_ratios=(2.0, 1.0)), setting, account, numbers)
     lower.supxlabel(f"* {numbers['published']['note']}.", fontsize="small", color=PUBLISHED)
-    if path.suffix != ".html":
+    if path.suffix.lower() != ".html":
         figure.savefig(path, dpi=120)
         return
     picture = io.StringIO()
