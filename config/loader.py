@@ -45,10 +45,7 @@ _BOUNDS = {
 
 
 def load_configuration(path: Path) -> Configuration:
-    """Return the daemon's configuration; relative paths in it start at the file's own folder.
-
-    Raises ConfigurationError with everything that is wrong in the file, sorted by position.
-    """
+    """Return the daemon's configuration, its relative paths from the file's folder; raises ConfigurationError."""
     return load_with_warnings(path)[0]
 
 
@@ -59,10 +56,7 @@ def load_with_warnings(path: Path) -> tuple[Configuration, tuple[Problem, ...]]:
 
 
 def load_yaml_model(path: Path, model: type[Model]) -> Model:
-    """Return a YAML file as an instance of `model`; paths in it stay as they are written.
-
-    Raises ConfigurationError with everything that is wrong in the file, sorted by position.
-    """
+    """Return a YAML file as an instance of `model`, paths as they are written; raises ConfigurationError."""
     return parse_yaml_model(_read_text(path), model, str(path))
 
 

@@ -19,5 +19,4 @@ def shipped_files() -> tuple[str, ...]:
 
 
 def machine_names() -> tuple[str, ...]:
-    """Return the names of the shipped machine descriptions."""
     return tuple(Path(name).stem for name in shipped_files() if name.endswith(".yaml"))

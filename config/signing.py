@@ -1,8 +1,7 @@
 """Signatures of what people answer for: release records, commissioning records, back-ups.
 
-Ed25519 over a purpose and a file's bytes, kept beside the file as `NAME.sig`. A person's private key stays with that
-person's account; the public keys that count lie in a folder that the daemon can read and not write. Where that folder
-holds keys, what is not signed by one of them is refused; where it holds none, nothing is checked.
+Ed25519 over a purpose and a file's bytes, beside the file as `NAME.sig`. Where the folder of public keys, which the
+daemon can read and not write, holds keys, what none of them has signed is refused; else nothing is checked.
 """
 
 import base64
@@ -16,9 +15,7 @@ from typing import Literal
 
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
-from cryptography.hazmat.primitives.serialization import (
-    load_pem_public_key,
-)
+from cryptography.hazmat.primitives.serialization import load_pem_public_key
 
 from config.files import read_whole
 from models.errors import RefusedInputError
@@ -39,7 +36,6 @@ class SigningError(RefusedInputError):
 
 
 def signature_beside(path: Path) -> Path:
-    """Return where the signature of a file lies."""
     return path.with_name(f"{path.name}{SIGNATURE_SUFFIX}")
 
 
@@ -130,7 +126,6 @@ def _signed(purpose: Purpose, content: bytes) -> bytes:
 
 
 def key_number(key: Ed25519PublicKey) -> str:
-    """Return the number by which signatures name their key."""
     return hashlib.sha256(key.public_bytes_raw()).hexdigest()[:16]
 
 

@@ -94,12 +94,10 @@ class SigningKey:
 
     @property
     def number(self) -> str:
-        """The number by which signatures name it."""
         return key_number(self._key.public_key())
 
     @property
     def public(self) -> bytes:
-        """The public key in PEM form."""
         return self._key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
 
     def signature(self, purpose: Purpose, content: bytes) -> bytes:

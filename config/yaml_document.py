@@ -1,9 +1,8 @@
 """YAML text -> plain values with the position of every key and value.
 
-A careful subset of YAML 1.1 is read, so that nothing means something else than it seems to:
-`yes`, `no`, `on` and `off` are refused as truth values, as are numbers with a leading zero, an
-underscore, a colon or a base, NaN, infinity and tags. `1e-6` is a number. Dates are text. Anchors,
-aliases and merge keys work. Keys are always text and may stand only once in a mapping.
+A careful subset of YAML 1.1, so that nothing means something else than it seems to: `yes`, `no`, `on` and `off` are
+refused as truth values, as are numbers with a leading zero, an underscore, a colon or a base, NaN, infinity and tags.
+`1e-6` is a number. Dates are text. Keys are always text and may stand only once in a mapping.
 """
 
 import math
@@ -120,7 +119,6 @@ class _Reader:
         self.document.faults.append(Fault(_position(node), path, sentence))
 
     def read(self, node: yaml.Node, path: KeyPath) -> Any:
-        """Return the plain value of a node."""
         self.document.values[path] = _position(node)
         self.document.keys.setdefault(path, _position(node))
         self.count += 1

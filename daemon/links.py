@@ -65,7 +65,6 @@ class Links:
             health.on_change = on_change
 
     def snapshots(self) -> tuple[LinkSnapshot, ...]:
-        """Return the state of the links to the machine."""
         return tuple(health.snapshot() for health in self.shown)
 
     def temperatures(self, take: Callable[[TemperatureCycle], Awaitable[None]]) -> Iterator[Coroutine[Any, Any, None]]:
@@ -160,7 +159,6 @@ class DisplacementLog:
         self._limit = RateLimit[str](self._tell, burst=PROBLEM_BURST)
 
     def row(self, sample: DisplacementSample) -> None:
-        """Take a row that was read."""
         self._take(sample)
         before = self._snapshot.latest
         if before is not None and (other := sample.reason == Reason.ELSEWHERE).any():
@@ -174,7 +172,6 @@ class DisplacementLog:
         self._change(replace(self._snapshot, latest=latest, rows_read=self._snapshot.rows_read + 1))
 
     def problem(self, problem: str) -> None:
-        """Take what could not be read."""
         now_utc_s, before = self._clock.now().utc_s, self._snapshot
         self._change(replace(before, problems=before.problems + 1, last_problem=problem, last_problem_utc_s=now_utc_s))
         self._limit(problem)

@@ -3,12 +3,7 @@
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 
-from models.control.reference_records import (
-    ReferenceEnded,
-    ReferenceRequest,
-    ReferenceTakenUp,
-    SensorsSinceReference,
-)
+from models.control.reference_records import ReferenceEnded, ReferenceRequest, ReferenceTakenUp, SensorsSinceReference
 from models.control.state import OperatorRequest
 from models.records import Reference
 

@@ -100,10 +100,7 @@ class ModelsOnDisk:
 
     async def _described(self) -> dict[str, Any]:
         process = await asyncio.create_subprocess_exec(
-            *DESCRIBER,
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.PIPE,
+            *DESCRIBER, stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
         )
         try:
             async with asyncio.timeout(PATIENCE_S):

@@ -41,4 +41,3 @@ class Parts:
 
 
 PARTS = Parts()
-"""The parts of the product."""

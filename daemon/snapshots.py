@@ -41,7 +41,6 @@ class ThermalSnapshot:
     cycles_received: int
     cycles_incomplete: int
     estimates: int
-    """Estimates that have been made."""
     model_waits: str = ""
     """Which released model makes no estimates yet and why, '' when none waits."""
     contributions: Contributions | None = None

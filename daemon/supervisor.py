@@ -59,7 +59,6 @@ class LinkHealth:
         self._log.flush()
 
     def snapshot(self) -> LinkSnapshot:
-        """Return what status shows."""
         return LinkSnapshot(
             name=self.name,
             up=self.up,

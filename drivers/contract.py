@@ -17,14 +17,7 @@ from models.records import CncMode, CncRun, CncSample, DisplacementSample, Tempe
 SIMULATED_CNC_IDENTITY = "urn:toolpoint:simulated-cnc"
 """What the simulated machine's control calls itself; nothing else may be driven by a scaled clock."""
 Security = Literal["encrypted", "insecure"]
-MODES = {
-    0: CncMode.MDI,
-    1: CncMode.MEMORY,
-    3: CncMode.EDIT,
-    4: CncMode.HANDLE,
-    5: CncMode.JOG,
-    10: CncMode.REMOTE,
-}
+MODES = {0: CncMode.MDI, 1: CncMode.MEMORY, 3: CncMode.EDIT, 4: CncMode.HANDLE, 5: CncMode.JOG, 10: CncMode.REMOTE}
 RUNS = {0: CncRun.RESET, 1: CncRun.STOP, 2: CncRun.HOLD, 3: CncRun.START, 4: CncRun.START}
 """FANUC's codes for mode and run, which several protocols carry."""
 
@@ -83,8 +76,7 @@ class DisplacementSource(Protocol):
     ) -> AsyncIterator[DisplacementSample]:
         """Follow the file and yield each new row once, in file order; raises LinkError.
 
-        `on_problem` takes each row, field or file that cannot be read, in words that name file, line and
-        column; `on_reached` is called whenever a look at the files has succeeded.
+        `on_problem` takes in words what cannot be read; `on_reached` is called when a look at the files has succeeded.
         """
 
     async def close(self) -> None:

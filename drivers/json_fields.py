@@ -12,10 +12,7 @@ QUOTED = 40
 
 
 def readings_in(content: Any, fields: Mapping[int | str, str]) -> dict[int | str, float | NoReading]:
-    """Return the numbers of a JSON value by the input's key; a field that is absent or null is left out.
-
-    `a.b` is b within a; the empty field is the value itself.
-    """
+    """Return the numbers of a JSON value by the input's key: `a.b` is b within a, the empty field the value."""
     found: dict[int | str, float | NoReading] = {}
     for key, field in fields.items():
         value = content
@@ -27,10 +24,7 @@ def readings_in(content: Any, fields: Mapping[int | str, str]) -> dict[int | str
 
 
 def number_of(value: Any, key: str = "field") -> float | NoReading:
-    """Return a JSON value, or the text of a number, as a number; a truth value is none.
-
-    `key` of the configuration says where it is.
-    """
+    """Return a JSON value, or the text of a number, as a number; a truth value is none."""
     value = number_in(value)
     if isinstance(value, int | float) and not isinstance(value, bool):
         try:

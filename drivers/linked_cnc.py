@@ -52,7 +52,6 @@ class AnsweredLink(asyncio.Protocol, Generic[Answer]):
 
     @property
     def _waits(self) -> bool:
-        """A request has no answer yet."""
         return self._waiting is not None and not self._waiting.done()
 
     async def _answer_to(self, request: bytes) -> Answer:
@@ -157,11 +156,7 @@ class LinkedCnc(ABC):
         return await self._call("reading macro variables", self._macros(macros))
 
     async def write_macros(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
-        """Write groups of (macro, value), each after the one before was accepted.
-
-        Raises NotSentError before anything is sent when the connection, a macro or a value must not be written;
-        LinkError on a lost link; FatalDriverError when the control refuses a value.
-        """
+        """Write groups of (macro, value), each after the one before was accepted; raises as `Cnc` says."""
         refuse_forbidden(groups, self._config, self.security)
         self._need_link()
         await self._call("writing macro variables", self._write(groups))

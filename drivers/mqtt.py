@@ -34,10 +34,7 @@ logging.getLogger("mqtt").setLevel(logging.CRITICAL + 1)  # what matters is rais
 
 
 class MqttSource(PushedSource):
-    """Subscribes to the sensors' topics; the newest number of each sensor within a cycle period makes the cycle.
-
-    A retained message is of unknown age, and does not count.
-    """
+    """Subscribes to the sensors' topics; the newest number of each within a period counts, retained ones do not."""
 
     def __init__(self, source: SourceEntry, clock: Clock) -> None:
         super().__init__(source, clock)

@@ -30,10 +30,7 @@ def power_on_utc_s(date: float, time: float, clock_ms: float) -> float:
 
 
 def power_on_count(at_s: float, before: int | None) -> int:
-    """Return the number of the bin in which the control was switched on; it stays near the edges of a bin.
-
-    It stays, too, where midnight came between date and time, which makes it a day earlier.
-    """
+    """Return the number of the bin of the power-on; it stays near a bin's edges, and over midnight."""
     if before is not None:
         began_s = at_s - before * POWER_ON_BIN_S
         if any(-POWER_ON_SLACK_S <= s < POWER_ON_BIN_S + POWER_ON_SLACK_S for s in (began_s, began_s + DAY_S)):

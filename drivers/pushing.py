@@ -53,10 +53,7 @@ class PushedSource(RowSource):
     # --- what the driver calls ----------------------------------------------------------
 
     def put_row(self, readings: Readings, measured: Instant) -> None:
-        """Take one number of each sensor that has one, measured at `measured`.
-
-        A row too soon after one is left out: cleansing counts readings that agree.
-        """
+        """Take one number of each sensor that has one; a row too soon after another is left out."""
         self.came()
         if measured.monotonic_s - self._row_s < FEWEST_PERIODS * self._source.cycle_period_s:
             return
@@ -92,7 +89,6 @@ class PushedSource(RowSource):
         return {key: self._maker.of_one_device(key, reading) for key, reading in readings.items()}
 
     def came(self) -> None:
-        """Note that something came from the source."""
         self._came_s = self._clock.now().real_s
         self._wake.set()
 

@@ -72,7 +72,6 @@ class RowSource(ABC):
 
 
 def cycle_of(row: Row, line: str) -> TemperatureCycle:
-    """Return a row of temperatures as the cycle of a line."""
     return TemperatureCycle(
         line=line,
         number=row.number,

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 from config.schema import Configuration
 from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import FocasConfig
-from config.schema.displacement_sources import DisplacementSourceConfig
-from config.schema.displacements import DisplacementFileConfig, DisplacementsConfig
+from config.schema.displacements import DisplacementFileConfig, DisplacementsConfig, DisplacementSourceConfig
 from config.schema.source_drivers import SourceEntry
 from config.schema.temperatures import LineConfig, SensorConfig, TemperatureInput
 from drivers.clock import Clock
@@ -136,7 +135,6 @@ FILES: Mapping[str, Callable[[], FileFactory]] = {"file": _file}
 
 
 def open_cnc(configuration: Configuration, clock: Clock) -> Cnc:
-    """Return a new, unconnected CNC."""
     return CNC_DRIVERS[configuration.cnc.driver]()(configuration.cnc, clock)
 
 
@@ -150,10 +148,7 @@ def open_temperature_source(configuration: Configuration, each: TemperatureInput
 def open_displacement_source(
     configuration: Configuration, each: DisplacementInput, clock: Clock, after_utc_s: float | None
 ) -> DisplacementSource:
-    """Return a new, unopened source for the A/D logger's files or for one entry of the sources.
-
-    Of files, rows up to `after_utc_s` are skipped. Every row holds all channels of the configuration.
-    """
+    """Return a new source of all channels; rows of the A/D logger's files up to `after_utc_s` are skipped."""
     displacements = configuration.displacements
     assert displacements is not None
     if isinstance(each, DisplacementFileConfig):

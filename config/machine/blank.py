@@ -101,10 +101,7 @@ def read_blank(path: Path) -> Blank:
 
 
 def read_tools(path: Path, blank: Blank) -> dict[str, tuple[Segment, ...]]:
-    """Return the tools of a library as beams, from the tip backwards.
-
-    Raises ConfigurationError with file, line and key, among them for a tool that is clamped otherwise than the blank.
-    """
+    """Return the tools of a library as beams, from the tip backwards; raises ConfigurationError."""
     library = load_yaml_model(path, ToolLibrary)
     builder = ChainBuilder(library.materials, path, "correct")
     found = {}

@@ -10,7 +10,6 @@ from config.loader import load_yaml_model
 from config.schema.base import KeyPath, KeyProblems, Name, Section
 
 Origin = Literal["published", "derived", "fitted", "assumed", "measured", "design"]
-"""Where a number comes from."""
 Rotary = Literal["correct", "published"]
 
 LEAST_GPA, MOST_GPA = 1e-3, 2000.0
@@ -261,10 +260,7 @@ class _Materials(Section):
 
 
 def load_spindle(path: Path) -> SpindleDescription:
-    """Return a spindle file; materials are checked when it is built.
-
-    Raises ConfigurationError with everything that is wrong, each with file, line, column and key.
-    """
+    """Return a spindle file, whose materials are checked when it is built; raises ConfigurationError."""
     return load_yaml_model(path, SpindleDescription)
 
 

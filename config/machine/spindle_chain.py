@@ -55,12 +55,9 @@ class Spindle:
 def build_spindle(
     description: SpindleDescription, file: Path, rotary: Rotary | None = None, cells: int = CELLS
 ) -> Spindle:
-    """Return the chain of a description.
+    """Return the chain of a description; raises ConfigurationError where a material or its Poisson's ratio is missing.
 
-    Raises ConfigurationError when a material is not known, or its Poisson's ratio is missing, with file, line and key.
-
-    `description`: what the file says. `file`: the file, for sentences about it. `rotary`: rotary-inertia setting that
-    overrides the file's. `cells`: unit cells along each side of a mixed or layered section.
+    `rotary` overrides the file's setting. `cells`: unit cells along each side of a mixed or layered section.
     """
     return _builder(description, file, rotary, cells).build(description)
 
@@ -296,9 +293,6 @@ def found_file(given: Path) -> Path:
 
 
 def read_spindle(given: Path, rotary: Rotary | None = None) -> Spindle:
-    """Return the spindle of a file or of a shipped name.
-
-    Raises ConfigurationError with everything that is wrong, each with file, line, column and key.
-    """
+    """Return the spindle of a file or of a shipped name; raises ConfigurationError."""
     path = found_file(given)
     return build_spindle(load_spindle(path), path, rotary)

@@ -81,8 +81,7 @@ def _form(value: Any) -> str:
 
 
 Direction = Annotated[
-    Annotated[Literal["rigid"], Tag("rigid")] | Annotated[DirectionCase, Tag("direction")],
-    Discriminator(_form),
+    Annotated[Literal["rigid"], Tag("rigid")] | Annotated[DirectionCase, Tag("direction")], Discriminator(_form)
 ]
 
 
@@ -201,7 +200,6 @@ class StabilityCase(Section):
         return []
 
     def cut(self) -> Cut:
-        """Return engagement and coefficients."""
         start_rad, exit_rad = engagement_rad(
             MillingMode(self.milling), self.radial_depth_mm or self.diameter_mm, self.diameter_mm
         )

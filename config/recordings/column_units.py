@@ -63,11 +63,7 @@ def unit_in(name: str) -> str | None:
 
 
 def contradiction(kind: str, name: str, meant: str, row: str | None = None) -> str | None:
-    """Return what to say where a column claims another unit than it is read in, else None.
-
-    `kind`: time, speed, displacements, temperatures or axis_positions. `meant`: the unit that it is read in. `row`: its
-    field in the row of units; None: it goes by its name.
-    """
+    """Return what to say where a column claims another unit than it is read in, by `row` or its name; else None."""
     found = unit_in(name) if row is None else unit_of(row)
     if row is None and kind == "temperatures" and _CLEAR_UNIT.search(name) is None:
         return None

@@ -51,13 +51,7 @@ class MachineFiles:
 
 
 def load_machine_map(path: Path, recordings: Sequence[Path]) -> tuple[MachineFiles, ...]:
-    """Return the machines of a map with their recordings.
-
-    Raises ConfigurationError with file and key: what `MachineMap` refuses, a name or pattern without a recording, a
-    recording of two machines or of none or given twice, a machine without a configuration.
-
-    `path`: the map. `recordings`: all recordings.
-    """
+    """Return the machines of a map with their recordings; raises ConfigurationError with file and key."""
     one = load_yaml_model(path, MachineMap)
     folder, whole = path.resolve().parent, {str(recording.resolve()): recording for recording in recordings}
     problems: list[Problem] = []

@@ -76,7 +76,6 @@ class MapProposal:
     """What the columns of a recording seem to be."""
 
     keys: dict[str, Any]
-    """Keys of the map that were found."""
     left_out: tuple[str, ...]
     """Columns whose names do not tell what they are."""
     lacking: tuple[str, ...]

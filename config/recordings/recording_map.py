@@ -65,8 +65,7 @@ class RecordingMap(Section):
         None, description="unit of displacement columns by name or pattern; micrometres where it says nothing"
     )
     displacement_names: dict[str, str] | None = Field(
-        None,
-        description="what the channel of a displacement column is called; as the column where it says nothing",
+        None, description="what the channel of a displacement column is called; as the column where it says nothing"
     )
     axis_positions: list[str] | None = Field(
         None, min_length=1, description="columns that hold axis positions [mm], if there are any: names or patterns"
@@ -196,10 +195,7 @@ def resolve_columns(recording_map: RecordingMap, header: Sequence[str]) -> Colum
 def require_read_units(
     recording_map: RecordingMap, columns: Columns, header: Sequence[str], row: Sequence[str] | None = None
 ) -> None:
-    """Refuse a column that is in another unit than it is read in; raises `ColumnError`.
-
-    `row`: fields of the row of units; None: by the names of columns, where the map does not say the unit itself.
-    """
+    """Refuse a column in another unit than it is read in, by `row` or its name; raises `ColumnError`."""
     of_number = recording_map.time_format is None and recording_map.time_unit != "iso"
     read: list[tuple[str, int, str]] = [("time", columns.time, recording_map.time_unit)] if of_number else []
     read += [] if columns.speed is None else [("speed", columns.speed, recording_map.speed_unit)]
@@ -287,10 +283,7 @@ def are_days(numbers: Sequence[float]) -> bool:
 
 
 def matching_names(recording_map: RecordingMap, header: Sequence[str]) -> dict[str, list[str]]:
-    """Return the names of the columns of each kind in a file with this header, whether or not the file has all of them.
-
-    Raises `ColumnError` where there is no time, and for a column with two meanings.
-    """
+    """Return the names of the columns of each kind in a file with this header; raises `ColumnError`."""
     keys = {"speed": [recording_map.speed] if recording_map.speed else []}
     keys |= {kind: getattr(recording_map, kind) or [] for kind in ("temperatures", "axis_positions", "displacements")}
     present = {key: [one for one in names if _matches(one, header)] for key, names in keys.items()}
@@ -370,12 +363,10 @@ _DISPLACEMENT_PATTERNS = ("c[0-9]*", "[XYZ][0-9]*", "*_um")
 
 
 def usual_map(header: Sequence[str]) -> RecordingMap:
-    """Return the map of a recording whose columns carry the usual names.
+    """Return the map of a recording whose columns carry the usual names; raises `ColumnError`.
 
-    Usual are t, time, time_s or utc_s [s], time_min, time_h, utc (ISO 8601); rpm or speed_rpm;
-    t1 or T1 and so on for temperatures; c1, Y1, Z2 or anything ending in _um for displacements, of
-    which Z1_um is the channel Z1, as the monitor writes it.
-    Raises `ColumnError` when a kind is not there under a usual name.
+    Usual are t, time, time_s or utc_s [s], time_min, time_h, utc (ISO 8601); rpm or speed_rpm; t1 or T1 and so on for
+    temperatures; c1, Y1, Z2 or anything ending in _um for displacements, of which Z1_um is the channel Z1.
     """
     time = next((name for name in header if name in _TIME_NAMES), None)
     if time is None:

@@ -111,10 +111,7 @@ def macro_map_digest(macros: MacroMapConfig) -> str:
 
 
 def load_commissioning(path: Path, trusted: Path | None = None) -> CommissioningRecord:
-    """Read a record; raises CommissioningError naming file and key.
-
-    `trusted` is the folder of the keys by which it must be signed, where there are any.
-    """
+    """Read a record, signed by one of the `trusted` keys where there are any; raises CommissioningError."""
     try:
         content = read_whole(path)
         if trusted is not None:
@@ -145,11 +142,7 @@ def commissioning_inhibit(
     slopes: Mapping[str, SlopeConfig] | None = None,
     machine: str = "",
 ) -> str:
-    """Return why these axes may not be compensated, '' when the record covers them.
-
-    `guard_version` is what the guard echoes; None where it is not known. `machine`: name of this one in its
-    configuration; controls of one type may call themselves alike.
-    """
+    """Return why these axes may not be compensated, '' when the record covers them; None: what is not known yet."""
     if record is None:
         return f"this machine has no commissioning record, so sign and scale have not been proved: {ADVICE}"
     if record.cnc_identity != cnc_identity:

@@ -280,7 +280,6 @@ class LinuxcncConfig(CncConnection):
 
     @property
     def address(self) -> str:
-        """The one LinuxCNC of this computer."""
         return "linuxcnc"
 
 
@@ -321,7 +320,6 @@ class MtconnectConfig(CncConnection):
 
     @property
     def port(self) -> int:
-        """Its TCP port."""
         return urlsplit(self.url).port or 80
 
     @property
@@ -372,7 +370,6 @@ class CncDriverConfig(SectionOfDriver):
 
     @property
     def connection(self) -> CncConnection:
-        """The section of the driver."""
         section = getattr(self, self.driver)
         assert isinstance(section, CncConnection)
         return section

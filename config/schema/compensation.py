@@ -88,8 +88,7 @@ class AxisConfig(Section):
     )
     deadband_um: float = Field(0.1, ge=0, description="a smaller change of the request is not written [um]")
     slope: SlopeConfig | None = Field(
-        None,
-        description="this entry is a slope along another axis, and all its um are um/m; none: an offset",
+        None, description="this entry is a slope along another axis, and all its um are um/m; none: an offset"
     )
 
     @model_validator(mode="after")
@@ -248,8 +247,7 @@ class CompensationConfig(Section):
         examples=["/var/lib/toolpoint-models/model.json"],
     )
     allow_writable_model_directory: bool = Field(
-        False,
-        description="load a model although the daemon could write it or it was not released (shown everywhere)",
+        False, description="load a model although the daemon could write it or it was not released (shown everywhere)"
     )
     release: ReleaseConfig = Field(default_factory=ReleaseConfig, description="release of thermal models")
     retraining: RetrainingConfig | None = Field(

@@ -1,8 +1,7 @@
 """Sensors behind Modbus: registers of boxes, and by which requests they are read.
 
-On a serial line an answer carries no number: it shows its unit, its function and how many registers it holds, not
-which. There the requests are laid out so that no two of one unit and table ask for the same count: an answer that is
-late, comes twice or in another's place then never fits another request.
+On a serial line an answer shows its unit, its function and how many registers it holds, not which. So no two requests
+of one unit and table ask for the same count there: a late or doubled answer fits no other request.
 """
 
 from collections.abc import Iterator, Sequence
@@ -44,7 +43,6 @@ class ModbusRegister(Measured):
 
     @property
     def width(self) -> int:
-        """Registers that it takes."""
         return BITS[self.type] // 16
 
     def is_open(self, number: float) -> bool:
@@ -78,7 +76,6 @@ class ModbusRequest:
     """Places in the section's list of the inputs whose registers it holds whole."""
 
     def __str__(self) -> str:
-        """Return what is read, for a sentence."""
         last = self.start + self.count - 1
         registers = f"register {self.start}" if self.count == 1 else f"registers {self.start}-{last}"
         return f"unit {self.unit_id}, {self.table} {registers}"

@@ -131,7 +131,6 @@ class SparkplugConfig(BrokerConfig):
 AlarmKind = Literal[
     "fault", "daemon", "hold", "output", "link", "sensor", "model", "store", "job", "disk", "certificate"
 ]
-"""What an alarm can be about."""
 MailAddress = Annotated[str, Field(pattern=MAIL_ADDRESS_PATTERN, max_length=254)]
 
 
@@ -239,9 +238,7 @@ class SinkConfig(SectionOfDriver):
         None, description="a PostgreSQL database", examples=[{"host": "192.168.10.50"}]
     )
     parquet: ParquetConfig | None = Field(
-        None,
-        description="Parquet files in a folder or an object store",
-        examples=[{"folder": "/srv/plant/history"}],
+        None, description="Parquet files in a folder or an object store", examples=[{"folder": "/srv/plant/history"}]
     )
     mqtt: MqttSinkConfig | None = Field(
         None, description="JSON at an MQTT broker", examples=[{"host": "192.168.10.40"}]
@@ -289,7 +286,6 @@ class SinkConfig(SectionOfDriver):
 
     @property
     def place(self) -> str:
-        """Where it is, for people."""
         if self.parquet is not None:
             return re.sub("key=[^&]*", "key=...", re.sub("//.*@", "//...@", self.parquet.folder))  # it may hold keys
         if self.mqtt is not None:

@@ -22,14 +22,12 @@ class SourceEntry(SectionOfDriver):
 
     @property
     def connection(self) -> SourceConnection:
-        """The section of the driver."""
         section = getattr(self, self.driver)
         assert isinstance(section, SourceConnection)
         return section
 
     @property
     def inputs(self) -> Sequence[Measured]:
-        """What it measures, in the order of the section."""
         return self.connection.every_input
 
 
@@ -47,7 +45,6 @@ class SourceConfig(SourceEntry):
 
     @property
     def sensors(self) -> tuple[SourceSensorConfig, ...]:
-        """The sensors, in the order of the section."""
         return tuple(self.connection.every_input)
 
     @property

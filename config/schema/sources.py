@@ -1,8 +1,7 @@
 """Sources of temperatures and displacements: what every one of them has, whatever it is read with.
 
-To add a kind: its wire (a `SourceConnection`) with what one input needs, its sections with sensors and with channels,
-its name in the `driver` of `SourceConfig` and `DisplacementSourceConfig` with the field of that name beside it, and one
-line in `drivers/registry.py`.
+To add a kind: its wire (a `SourceConnection`), its sections with sensors and with channels, its name in the `driver` of
+`SourceConfig` and `DisplacementSourceConfig` with the field of that name, and one line in `drivers/registry.py`.
 """
 
 import math
@@ -73,9 +72,7 @@ class SourceSensorConfig(Measured):
         default_factory=list, description="numbers as read that say that the sensor is open, shorted or absent"
     )
     resolution: float = Field(
-        0.0,
-        ge=0,
-        description="step of the temperature in the unit, where what sends it rounds: 0.5; 0: not known",
+        0.0, ge=0, description="step of the temperature in the unit, where what sends it rounds: 0.5; 0: not known"
     )
     min_degc: float | None = Field(
         None,
@@ -103,7 +100,6 @@ class SourceSensorConfig(Measured):
 
     @property
     def key(self) -> int:
-        """Its ID."""
         return self.id
 
     @property
@@ -119,7 +115,6 @@ class SourceSensorConfig(Measured):
         return lowest, HOTTEST_DEGC if self.max_degc is None else self.max_degc
 
     def is_open(self, number: float) -> bool:
-        """Return whether a number as read says that there is no sensor."""
         return number in self.open
 
     @property

@@ -1,8 +1,7 @@
 """Reads a back-up of unknown origin: all of it is checked before anything is written.
 
-A back-up is a plain tar: regular files one after another, each named in the manifest, nothing else. Every header is
-read here, so that links, devices, sparse files and headers that announce more than there is are refused by their
-first block, before a byte of content is read or a name is used.
+A plain tar: regular files one after another, each named in the manifest. Every header is read here, so that links,
+devices and sparse files are refused by their first block, before a name or a byte of content is used.
 """
 
 import hashlib

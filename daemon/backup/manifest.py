@@ -49,12 +49,10 @@ class Manifest(Section):
 
     @property
     def release_files(self) -> list[str]:
-        """Names of the files of all releases."""
         return [file.name for file in self.files if file.name.startswith(f"{RELEASES_NAME}/")]
 
 
 def signature_name(name: str) -> str:
-    """Return the name of the signature of a file in the back-up."""
     return f"{name}{SIGNATURE_SUFFIX}"
 
 

@@ -61,10 +61,7 @@ def installed_places(config_path: Path, given: Places) -> Places:
 
 
 def agreed_places(manifest: Manifest, archived: Places, wanted: Places, *, keep_configuration: bool) -> Places:
-    """Return where everything in the back-up goes; raises BackupError when only the archive names a place.
-
-    Unless the installed configuration is kept, that of the back-up must mean the same places.
-    """
+    """Return where everything goes; raises BackupError where only the archive names a place, or names another."""
     names = {file.name for file in manifest.files}
     needed = {place for place, (_, _, name) in OPTIONS.items() if name in names or _is_released(manifest, place)}
     if keep_configuration:

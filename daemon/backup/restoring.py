@@ -1,13 +1,10 @@
 """Restores a back-up: checks all of it, overwrites nothing, and leaves the machine at rest until a person acknowledges.
 
-An archive may come from anywhere, and the person who restores it is root. So it is read whole and checked before
-anything is written, and what it says about places is compared, never followed. It is unpacked into a folder that is
-held open and that only root can change, also where it lies in a folder of the daemon's.
+An archive may come from anywhere, and the person who restores it is root. What it says about places is compared, never
+followed; it is unpacked into a folder that is held open and that only root can change.
 
-What a restored store says of the CNC is old: somebody has written to the macros since. Therefore the
-restored store forgets what was switched on, the reference and everything else that a start would
-take up again, the last block is not put back, and the daemon starts in FAULT until a person has
-compared and acknowledged.
+What a restored store says of the CNC is old. It therefore forgets what was switched on, the reference and all that a
+start would take up again, and the daemon starts in FAULT until a person has compared and acknowledged.
 """
 
 import dataclasses
@@ -86,9 +83,8 @@ def restore(
 ) -> Restored:
     """Restore a back-up to the places of the installed configuration; raises BackupError with nothing changed.
 
-    `config_path` is where the installed configuration stands and that of the back-up goes. `given` are places that
-    a person has named. What is there already is refused, or moved aside when `replace` is set. Where keys count, one
-    of them must have signed the back-up, unless a person accepts it without.
+    `given`: places that a person has named. What is there is refused, or moved aside with `replace`. Where keys count,
+    one must have signed the back-up, unless a person accepts it without.
     """
     try:
         with Archive(archive_path) as archive:

@@ -1,9 +1,7 @@
 """The one place that writes macro variables: intent, comparison, write, read-back, outcome, receipt.
 
-Nothing reaches the CNC without its row in the audit, and nothing is written over a value that is not ours: what
-stands in the macros is read as the last request before the write. For a write that an estimate will cause, that
-request is made while the estimate is. What somebody else has put there is left
-alone, and the audit says so.
+Nothing reaches the CNC without its row in the audit, and nothing is written over a value that is not ours: what stands
+in the macros is read as the last request before the write, for an estimate's write while the estimate is made.
 """
 
 import asyncio

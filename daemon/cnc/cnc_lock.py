@@ -1,8 +1,7 @@
 """Keeps a second writer on this computer away from a CNC, whatever store it keeps.
 
-The lock is a name in the kernel's table of local sockets: nothing on a disk that could be deleted, and it is gone
-with its process. It reaches as far as the computer (more exactly: its network namespace); a writer on another
-computer is found by its values, which are foreign.
+A name in the kernel's table of local sockets, gone with its process. It reaches as far as the network namespace; a
+writer on another computer is found by its values, which are foreign.
 """
 
 import hashlib

@@ -74,7 +74,6 @@ class Journal:
         self.raise_fault(*remain)
 
     def keep(self, document: Any) -> None:
-        """Keep a document for the next start of the daemon."""
         self._store.put(document)
 
     def audited(self, macros: Sequence[int]) -> tuple[dict[int, tuple[float, ...]] | None, int | None]:

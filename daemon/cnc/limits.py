@@ -102,10 +102,7 @@ def guard_programs(configuration: Configuration) -> frozenset[int]:
 def reference_rules(
     configuration: Configuration, clock_speed: float, um_per_unit: Mapping[str, float]
 ) -> ReferenceRules:
-    """Return where the work is positioned, and which gap between two polls may hide that.
-
-    `um_per_unit`: movement per unit of the macro value of each axis [um].
-    """
+    """Return where the work is positioned, and which gap between two polls may hide that."""
     reference = configuration.compensation.reference
     dwell_s = reference.positioning_dwell_s or DWELL_POLLS * configuration.cnc.poll_period_s
     if clock_speed != 1.0:  # only the simulated machine takes such a clock

@@ -118,11 +118,7 @@ class MacroBlock:
         if self._map.check is not None:
             held = {**dict(content), self._map.sequence_b: float(sequence)}
             content.append((self._map.check, block_check(self._map, self._axes, held, self._pivots_mm)))
-        return (
-            ((self._map.sequence_a, float(sequence)),),
-            tuple(content),
-            ((self._map.sequence_b, float(sequence)),),
-        )
+        return (((self._map.sequence_a, float(sequence)),), tuple(content), ((self._map.sequence_b, float(sequence)),))
 
     def echo(self, macros: Mapping[int, float | None]) -> Echo:
         """Decode the guard's echo from macro values."""
@@ -224,7 +220,6 @@ class MacroBlock:
         return units
 
     def enabled(self, macros: Mapping[int, float | None]) -> bool:
-        """Whether any enable bit is set."""
         return bool(macros.get(self._map.enable))
 
     def sequence(self, macros: Mapping[int, float | None]) -> int:

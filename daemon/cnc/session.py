@@ -1,7 +1,4 @@
-"""One connected CNC: what its block holds and the guard applies, and what is ours of it.
-
-Owned by the control task alone; it serialises every call to the CNC.
-"""
+"""One connected CNC, owned by the control task: what its block holds and the guard applies, and what is ours of it."""
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence

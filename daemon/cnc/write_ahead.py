@@ -1,11 +1,9 @@
 """Keeps what our macros may hold in a file beside the store, from before a write is sent.
 
-The audit's commit takes a disk's time and the write does not wait for it, so a daemon that is
-killed in between would find a block in the CNC that its audit does not know. These few bytes are
-handed to the operating system before the first macro goes out: they survive the process. They do not
-survive a power cut, after which an older line may stand here than in the audit; therefore the line says
-which write of the audit it belongs to, and the newer of the two counts. A last line says that the store could not be
-written: a full disk still lets bytes be written over, and nothing that such a store holds is gone on with.
+The write does not wait for the audit's commit, so a daemon that is killed in between would find a block that its audit
+does not know. These bytes survive the process, not a power cut, after which an older line may stand here than in the
+audit: the line names its write, and the newer of the two counts. A last line says that the store could not be written:
+nothing that such a store holds is gone on with.
 """
 
 import json
@@ -56,10 +54,7 @@ class WriteAheadRecord:
         return cls(store.with_name(store.name + ".last-speed"))
 
     def keep(self, possible: Possible, write_id: int | None = None) -> None:
-        """Hand what the macros may hold to the operating system; a failure is logged, the audit then stands alone.
-
-        `write_id` is the audit's number of the write that is about to go out.
-        """
+        """Hand to the operating system what the macros may hold from write `write_id` on; a failure is logged."""
         content = json.dumps({str(number): values for number, values in possible.items()}).encode()
         line = _checksum(content) + b" " + content + b"\n"
         if write_id is not None:

@@ -41,10 +41,7 @@ class Dialogue(Protocol):
 
 
 class TerminalDialogue:
-    """Asks on the terminal, without a thread that would wait for a key for ever.
-
-    What was typed before a question is no answer to it, and is thrown away.
-    """
+    """Asks on the terminal, without a waiting thread; what was typed before a question is no answer to it."""
 
     def __init__(self, *, consent: bool, descriptor: int = 0) -> None:
         """`consent` says yes to every step beforehand, and asks for nothing."""

@@ -22,7 +22,6 @@ class BlockFound:
 
     @property
     def foreign_in_words(self) -> str:
-        """Each foreign variable with its value."""
         return ", ".join(f"#{number} = {self.values[number]:g}" for number in self.foreign)
 
 

@@ -15,8 +15,7 @@ from config.schema.compensation import AxisConfig
 from daemon.commissioning.dialogue import Dialogue
 from daemon.commissioning.initialising import BlockFound, CommissioningRefusedError
 from daemon.commissioning.judgement import DisprovedError, judge, refuse_noise
-from daemon.commissioning.leaving import SafeExit, set_aside
-from daemon.commissioning.movement import Movement
+from daemon.commissioning.movement import Movement, SafeExit, set_aside
 from daemon.commissioning.preconditions import (
     refuse_clock,
     refuse_insecure,
@@ -241,7 +240,6 @@ class Commissioning:
         return self._judged(axis, offset_um, taken)
 
     async def _prove_slope(self, axis: str, limits: AxisConfig) -> CommissionedAxis:
-        """Prove a slope at two positions of its axis."""
         station, plan = self._station, self._plan
         index = station.axes.index(axis)
         positions = await positions_of(axis, limits, plan.positions, self._dialogue)

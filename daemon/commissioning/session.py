@@ -133,10 +133,7 @@ def hand_over(store: Path) -> None:
 
 
 def with_secrets(configuration: Configuration, folder: Path) -> Configuration:
-    """Return the configuration with password and key from a folder, because credentials exist in the service only.
-
-    Raises CommissioningRefusedError when one of the files is not there.
-    """
+    """Return the configuration with password and key from a folder; raises CommissioningRefusedError."""
     cnc = configuration.cnc
     files = {key: folder / path.name for key, path in cnc.connection.secrets.items()}
     if not files:

@@ -89,7 +89,6 @@ class Station:
 
     @property
     def echo(self) -> Echo:
-        """What the guard said last."""
         echo = self.session.echo
         return self._block.echo({}) if echo is None else echo
 
@@ -198,7 +197,6 @@ class Station:
     # --- what the procedure asks for -----------------------------------------------------
 
     async def next_beat(self) -> None:
-        """Wait for the end of the next beat."""
         async with self._beats:
             await self._beats.wait()
 

@@ -1,7 +1,6 @@
-"""Requests of the NC program: a counter that rises, and an answer.
+"""Requests of the NC program: kind, axis and value, a counter that rises, and an answer.
 
-The program sets kind, axis and value, raises the counter and waits. The answer is the counter
-when the request was taken, minus the counter when it was refused. A program that has given up
+The answer is the counter when the request was taken, minus the counter when it was refused. A program that has given up
 sets the kind to 0.
 """
 
@@ -9,14 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from config.schema.cnc import RequestMacrosConfig
-from models.control.nc_request import (
-    NcRequest,
-    Refusal,
-    RequestMacros,
-    counter_of,
-    missed_requests,
-    parse_request,
-)
+from models.control.nc_request import NcRequest, Refusal, RequestMacros, counter_of, missed_requests, parse_request
 
 LATE = "it was made while the daemon was away; ask again"
 
@@ -62,7 +54,6 @@ class Handshake:
         return Refusal(why=LATE, number=float(self.counter), may_have_positioned=False)
 
     def risen(self, macros: Mapping[int, float | None]) -> bool:
-        """Whether the counter is another than when it was last read."""
         return self._macros is not None and self._counter_macro(macros) != self._shown
 
     def withdrawn(self, macros: Mapping[int, float | None]) -> bool:
@@ -70,10 +61,7 @@ class Handshake:
         return self._macros is not None and macros.get(self._macros.kind) == 0.0
 
     def take(self, macros: Mapping[int, float | None]) -> tuple[NcRequest | Refusal | None, str]:
-        """Return the request that was read after its counter, and what its counter says of others before it.
-
-        There is none where the counter is what it was, or was set back to 0.
-        """
+        """Return the request that was read after its counter, if it rose, and what that says of others before it."""
         assert self._macros is not None
         self._shown = self._counter_macro(macros)
         counter, latest = counter_of(macros, self._macros), self.counter or 0

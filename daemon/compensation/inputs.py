@@ -87,10 +87,7 @@ def tool_term_um(
 
 
 def error_of_tool_point_um(
-    sources: tuple[AxisSource, ...],
-    estimate: ThermalErrorEstimate | None,
-    reference: ReferenceMemory,
-    tool_number: int,
+    sources: tuple[AxisSource, ...], estimate: ThermalErrorEstimate | None, reference: ReferenceMemory, tool_number: int
 ) -> FloatArray:
     """Return the estimated error per axis since the reference, tool included [um]; NaN without an estimate."""
     if estimate is None:

@@ -14,7 +14,6 @@ from models.control.state import OutputInputs, OutputMemory
 from models.records import CncSample, WriteOutcome
 
 HANDSHAKE_CAUSE = "handshake"
-"""Cause of an answer in the audit."""
 UNANSWERED = "an answer to the NC program could not be written"
 WITHDRAWN = "the program no longer waits for the answer"
 SWITCHED_OFF = "the CNC was switched off and on since, as far as anybody has seen; ask again"
@@ -28,7 +27,6 @@ class _Pending:
     number: float
     """Its counter, which is the answer, or minus the answer."""
     reference_id: str | None = None
-    """The reference that it waits for."""
     settles: bool = False
     """The answer waits until the CNC holds the new command."""
     refusal: str = ""
@@ -37,13 +35,7 @@ class _Pending:
 class RequestDesk:
     """One desk for one NC program; owned by the control task."""
 
-    def __init__(
-        self,
-        handshake: Handshake,
-        references: References,
-        journal: Journal,
-        output: MeasuredByNc,
-    ) -> None:
+    def __init__(self, handshake: Handshake, references: References, journal: Journal, output: MeasuredByNc) -> None:
         self._handshake = handshake
         self._references = references
         self._journal = journal

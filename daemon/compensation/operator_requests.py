@@ -13,10 +13,7 @@ from models.control.state import NO_REQUEST, Inhibit, InhibitCode, OperatorReque
 
 
 class Requests:
-    """A queue of people's requests, and a way to wait until they are decided on.
-
-    Refuses what cannot be met at once. What it takes is carried out in the control task's stack.
-    """
+    """A queue of people's requests, carried out in the control task's stack, and a way to wait for the decision."""
 
     def __init__(
         self,

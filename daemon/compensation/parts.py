@@ -68,10 +68,7 @@ class MacroClient(Protocol):
         """Take a cycle of the sensors."""
 
     async def serve(self, session: CncSession | None, phase: Phase, sample: CncSample | None) -> None:
-        """Write what is due; return soon when nothing is.
-
-        `sample` is the latest poll, with the part program's block while a program of the guard runs.
-        """
+        """Write what is due after the latest poll, which has the part program's block while the guard runs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,7 +92,6 @@ class ControlParts:
     on_tick: Callable[[], None]
     on_sample: Callable[[CncSample], None]
     on_change: Callable[[], None]
-    """Called when there is something new to show."""
     macro_clients: tuple[MacroClient, ...] = ()
 
     @property

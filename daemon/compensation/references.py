@@ -75,7 +75,6 @@ class References:
         self.left = self._store.get(ReferenceDocument)
         """What the previous run left."""
         self.tool_seen: ToolSeen | None = None
-        """The tool in the spindle, to be kept."""
         self.memory = ReferenceMemory()
         self.phase = Phase.CUTTING
 
@@ -142,7 +141,6 @@ class References:
         self.request(identity, source, positioning=False)
 
     def handshake_positioned(self) -> None:
-        """The handshake reports a positioning."""
         self._step(reference.positioned_by_handshake(self.memory, self._rules))
 
     def too_early(self, applied_um: FloatArray) -> str:
@@ -273,5 +271,4 @@ def _most_um(applied_um: FloatArray) -> float:
 
 
 def new_id() -> str:
-    """Return the identity of a new reference."""
     return uuid.uuid4().hex[:12]

@@ -36,13 +36,7 @@ class SkillRecord:
 
 
 def with_measurement(record: SkillRecord, measured_um: float, estimated_um: float) -> SkillRecord:
-    """Return the record with one more measurement.
-
-    Result: unchanged when a number is not finite.
-
-    `measured_um`: error since the reference without compensation: measured minus applied [um]. `estimated_um`: estimate
-    at the same instant [um].
-    """
+    """Return the record with measured minus applied, and the estimate of then [um]; unchanged by what is not finite."""
     if not (np.isfinite(measured_um) and np.isfinite(estimated_um)):
         return record
     keep = 1 - MOST_PAIRS
@@ -59,12 +53,9 @@ def rms_um(values_um: tuple[float, ...]) -> float:
 
 
 def does_harm(record: SkillRecord, least_error_um: float) -> bool:
-    """Return whether the estimate leaves more than there would be without it.
+    """Return whether the estimate leaves more than `MARGIN` times what there would be without it.
 
-    Result: true when what is left exceeds `MARGIN` times the measured error, and `least_error_um`.
-
-    `record`: at least `LEAST_PAIRS` measurements are needed for a verdict. `least_error_um`: while both are below this,
-    neither says anything [um].
+    It takes `LEAST_PAIRS` measurements for a verdict; below `least_error_um` neither says anything.
     """
     if len(record.left_um) < LEAST_PAIRS:
         return False
@@ -113,7 +104,6 @@ class SkillWatch:
             self._sloped.take(sample)
 
     def count_from(self, reference_id: str | None, model_id: str | None) -> None:
-        """Begin anew with every reference and every model."""
         if (reference_id, model_id) != self._counted:
             self._counted = (reference_id, model_id)
             self._records, self._zero, self._inhibit, self._judged = {}, {}, None, True

@@ -27,10 +27,7 @@ class There:
 
 
 class SlopedSkill:
-    """Knows where axes with a slope stood; owned by the control task.
-
-    `axes`: names in the order of the output's arrays. `say`: tells a person, once for each cause.
-    """
+    """Knows where axes with a slope stood; owned by the control task. `say` tells a person, once per cause."""
 
     def __init__(self, configuration: Configuration, axes: Sequence[str], say: Callable[[str], None]) -> None:
         self._sloped = sloped_axes(configuration)
@@ -53,10 +50,7 @@ class SlopedSkill:
         del self._utc_s[:-KEPT]
 
     def there(self, axis: str, utc_s: float, estimated_um: FloatArray, applied_um: FloatArray) -> There | None:
-        """Return what the slope of an axis adds at a time [um], None where nobody knows.
-
-        `estimated_um`, `applied_um`: per entry of the axes, those of slopes in um/m.
-        """
+        """Return what the slope of an axis adds at a time [um], None where nobody knows."""
         if (one := self._sloped.get(axis)) is None:
             return There(place=0, estimated_um=0.0, applied_um=0.0)
         per_m = float(np.nan_to_num(estimated_um[self._place[axis]]))

@@ -14,11 +14,9 @@ if TYPE_CHECKING:
     from daemon.compensation.task import ControlTask
 
 NOTICES_SHOWN = 5
-"""Latest notices that status shows."""
 
 
 def control_snapshot(control: "ControlTask") -> ControlSnapshot:
-    """Return where the output stands now."""
     memory, command, limits = control.memory, control.command, control.limits
     count = len(limits.axes)
     unknown = np.full(count, np.nan)

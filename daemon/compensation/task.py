@@ -16,8 +16,7 @@ import structlog
 from daemon.cnc.limits import axis_sources, echo_slack_um
 from daemon.cnc.session import CncSession
 from daemon.compensation.alarms import GuardWatch, alarm_of
-from daemon.compensation.applied_tracker import EchoWatch
-from daemon.compensation.block_writer import BlockWriter
+from daemon.compensation.block_writer import BlockWriter, EchoWatch
 from daemon.compensation.handshake import Handshake
 from daemon.compensation.inputs import OutputView, error_of_tool_point_um, output_inputs
 from daemon.compensation.nc_requests import RequestDesk
@@ -109,7 +108,6 @@ class ControlTask:
 
     @property
     def phase(self) -> Phase:
-        """What the machine is doing."""
         return self._references.phase
 
     @property

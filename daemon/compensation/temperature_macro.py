@@ -1,8 +1,6 @@
 """One temperature in a macro variable of its own; the configuration names sensor and macro, or it is off.
 
-It moves nothing: it shows at the CNC what the daemon reads, for commissioning and for measuring the
-delay. It is written like everything else: only inside `macros.writable`, read back, with intent and
-outcome in the audit. Owned by the control task, which alone talks to the CNC.
+It moves nothing, and is written as everything else: inside `macros.writable`, read back, audited, by the control task.
 """
 
 import math
@@ -16,7 +14,6 @@ from drivers.contract import FatalDriverError
 from models.records import CncSample, MachineTemperatures, Phase, Trace, WriteOutcome
 
 TEMPERATURE_CAUSE = "temperature"
-"""Cause of these writes in the audit."""
 
 
 class TemperatureMacro:

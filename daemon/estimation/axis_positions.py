@@ -153,10 +153,7 @@ class AxisPositions(NoPositions):
         return ""
 
     def trust(self, model: ThermalModel, now_s: float, imputed: Collection[int]) -> tuple[float, str]:
-        """Return how far an estimate may be followed for what is known of the positions, 0..1, and why it is not.
-
-        `imputed`: IDs of what the model has put the other inputs in place of.
-        """
+        """Return how far an estimate may be followed for what is known of the positions, 0..1, and why it is not."""
         if unknown := self.unknown(model, now_s):
             return 0.0, unknown
         places = self._places(model)

@@ -30,7 +30,6 @@ Message = (
     | TemperaturesTrusted
     | ThermalModel
 )
-"""What the thermal task takes."""
 Delivery = (
     ThermalErrorEstimate
     | EstimateComing

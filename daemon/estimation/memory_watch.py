@@ -112,10 +112,8 @@ FEWEST, SHARE = 2, 0.75
 def other_unit(before_degc: FloatArray, read: FloatArray, configured: str, said: str) -> str:
     """Return in which unit an input now says its temperatures, '' in the one that is configured.
 
-    `before_degc`, shape (n_sensors,): what counted last of each sensor [degC], NaN where nothing did. `read`, shape
-    (n_sensors,): its latest number [degC if the input says what is configured], NaN where there is none. `configured`:
-    what is taken for its unit: 'degC', 'degF' or 'K'. `said`: what was returned before: it stays so until the numbers
-    are nearer in the configured unit, however far the machine has warmed or cooled meanwhile.
+    `before_degc`: what counted last; `read`: what came, both [degC] if the input says what is configured, NaN where
+    nothing. What was `said` before stays until the numbers are nearer in the configured unit.
     """
     jump_k = np.abs(read - before_degc)
     if not said and int((jump_k > LEAST_JUMP_K).sum()) < FEWEST:

@@ -32,11 +32,7 @@ Answer = tuple[Estimation, Reference]
 
 
 class ModelInUse:
-    """One model in use; owned by the thermal task. Axis positions come behind the machine's temperatures in its order.
-
-    `model`: of whatever family. `sensor_ids`: of the machine's sensors, in its order. `machine`: their components and
-    steps. `positions`: names of the axis positions that follow the temperatures. `history`: reads the store.
-    """
+    """One model in use, owned by the thermal task. Axis positions come behind the machine's temperatures."""
 
     def __init__(
         self,
@@ -173,10 +169,7 @@ class ModelInUse:
         return self._online.kept
 
     def inhibit(self, mean_s: float, least: float) -> str:
-        """Return why the model cannot be followed yet with means over a time [s], '' when it can.
-
-        `least`: how far the states must be known, 0..1.
-        """
+        """Return why the model cannot be followed yet with means over a time [s], '' when it can."""
         wanted_s = self.model.period_s
         if wanted_s is not None and abs(wanted_s - mean_s) > 1e-6:
             return (

@@ -83,7 +83,6 @@ class SinceReference:
         self._means = {label: first_mean_increment(reference.degc[places]) for label, places in self._labels.items()}
 
     def take_up(self, reference: Reference, kept: SensorsSinceReference | None) -> None:
-        """Go on from a reference of before, with what was kept of it."""
         self.begin(reference)
         if kept is None or kept.reference_id != reference.reference_id:
             return
@@ -106,12 +105,7 @@ class SinceReference:
         return bool((needed & np.isfinite(reference.degc) & ~self.absent & ~heard).any())
 
     def goes_on_um(
-        self,
-        model: ThermalModel,
-        imputed: tuple[int, ...],
-        now_um: FloatArray,
-        time_min: float,
-        followed: bool,
+        self, model: ThermalModel, imputed: tuple[int, ...], now_um: FloatArray, time_min: float, followed: bool
     ) -> FloatArray:
         """Return the thermal error, in which no return of a sensor is a step: what it would be fades out [um].
 
@@ -132,10 +126,7 @@ class SinceReference:
         return now_um + rest_um
 
     def fading_um(self, channels: Sequence[str], time_min: float, tool_um_per_k: FloatArray) -> float:
-        """Return what is still to fade, of the worst channel and of the tool [um].
-
-        `tool_um_per_k`: what the tool term goes with each sensor [um/K].
-        """
+        """Return what is still to fade of the worst channel, and of the tool, which takes `tool_um_per_k` [um]."""
         tool_um = sum(
             abs(float(mean.rest.at(time_min)[0])) * float(tool_um_per_k[self._labels[label]].sum())
             for label, mean in self._means.items()

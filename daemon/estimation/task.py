@@ -38,14 +38,7 @@ from daemon.state_store.store import StateStore
 from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
 from models.align import RollingMean
-from models.records import (
-    FloatArray,
-    Instant,
-    MachineTemperatures,
-    Reference,
-    TemperatureCycle,
-    ThermalErrorEstimate,
-)
+from models.records import FloatArray, Instant, MachineTemperatures, Reference, TemperatureCycle, ThermalErrorEstimate
 from models.sensor_levels import unshifted
 from models.thermal.estimation import UNSURE_UM, Estimation, Machine
 from models.thermal.family import ThermalModel
@@ -325,7 +318,6 @@ class ThermalTask:
 
 
 def thermal_snapshot(thermal: ThermalTask) -> ThermalSnapshot:
-    """Return what has arrived and what is estimated now."""
     online, following = thermal._online, thermal._next
     waits = f"{following.model.model_id} makes no estimates yet: {following.waits}" if following is not None else ""
     return ThermalSnapshot(
@@ -399,10 +391,7 @@ def _waits_for(
     reference: Reference | None,
     absent: BoolArray,
 ) -> str:
-    """Note and return why another model does not go on from this estimate yet, '' when it may.
-
-    The difference of the two would stay with the reference.
-    """
+    """Note and return why another model does not go on from this estimate yet, '' when it may."""
     if before is None or renewed is None or reference is None:
         to.waits = "no estimate is made that it could go on from"
         return to.waits

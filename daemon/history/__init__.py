@@ -1,8 +1,7 @@
-"""The history store: what was measured, estimated, requested, written and applied, and by whom.
+"""The history store, one SQLite file: what was measured, estimated, requested, written and applied, and by whom.
 
-One SQLite file. `HistoryWriter` owns the only connection that writes, in a thread of its own;
-`HistoryReader` opens the file read-only, from any process, while the daemon writes. Whole hours
-that are old enough are packed into column chunks; the reader does not show the difference.
+`HistoryWriter` owns the only connection that writes, in a thread of its own; `HistoryReader` reads from any process
+meanwhile. Whole hours are packed into column chunks, which the reader does not show.
 """
 
 from daemon.history.database import HistoryError

@@ -1,7 +1,6 @@
-"""How far each sink has taken the store: one small file per sink in a folder beside the store.
+"""How far each sink has taken the store: one small file per sink, written by the sink's process alone.
 
-The sink's process alone writes its file, after the sink has acknowledged. A file that is lost or cannot be read means
-that nothing was taken: everything is sent again, which the keys of the rows make harmless.
+A file that is lost means that nothing was taken: all is sent again, which the keys of the rows make harmless.
 """
 
 import json
@@ -42,7 +41,6 @@ class Cursor:
     stored_rows: int = 0
     """Rows that the sink did not have before; the rest of `sent_rows` were repeats."""
     acknowledged_utc_s: float | None = None
-    """When the sink last acknowledged something."""
     alive_utc_s: float = 0.0
     """When the sink's process last said that it runs."""
     problem: str = ""

@@ -37,11 +37,7 @@ class OlderStoreError(HistoryError):
 
 
 def connect_writer(path: Path) -> sqlite3.Connection:
-    """Open the one connection that writes, bringing the schema up to date.
-
-    Raises HistoryError when the file is no store or is of a newer version, and sqlite3.Error
-    when the disk does not let it open (which may pass).
-    """
+    """Open the one connection that writes, its schema brought up to date; raises HistoryError, sqlite3.Error."""
     connection = sqlite3.connect(path, isolation_level=None, timeout=BUSY_TIMEOUT_S)
     try:
         connection.execute("PRAGMA auto_vacuum=INCREMENTAL")

@@ -117,12 +117,7 @@ class Buckets:
         self.add_extremes(time_s, values, values, values, np.ones(values.size))
 
     def add_extremes(
-        self,
-        time_s: FloatArray,
-        least: FloatArray,
-        greatest: FloatArray,
-        mean: FloatArray,
-        weight: FloatArray,
+        self, time_s: FloatArray, least: FloatArray, greatest: FloatArray, mean: FloatArray, weight: FloatArray
     ) -> None:
         """Add pieces that are decimated already, each with as many values as `weight` says."""
         place = np.floor((time_s - self.from_s) / self.width_s)
@@ -136,7 +131,6 @@ class Buckets:
         self._values += np.bincount(at, share, self.count)
 
     def series(self) -> Decimated:
-        """Return what was added."""
         held = self._values > 0
         count = self._values[held]
         return Decimated(
@@ -155,10 +149,7 @@ def decimated(
     points: int,
     go_on: Callable[[], object] = lambda: None,
 ) -> dict[str, Decimated]:
-    """Return series in at most `points` buckets each; of months from the extremes of packed hours.
-
-    `go_on` is called between pieces and raises to break off. Raises SeriesError naming a series that cannot be.
-    """
+    """Return series in at most `points` buckets each; `go_on` may raise to break off. Raises SeriesError."""
     width_s = (to_s - from_s) / points
     buckets = {name: Buckets(from_s=from_s, width_s=width_s, count=points) for name in names}
     for source in _by_source(names):

@@ -99,10 +99,7 @@ class Engine:
         self._opened.wait()
 
     def stop(self, within_s: float) -> bool:
-        """Write what is queued, close the store, and end the thread; gives up after the given time.
-
-        False when the disk does not even let go: the store must then stay locked for others.
-        """
+        """Write what is queued, close the store, end the thread within a time; False when the disk does not let go."""
         self._give_up_s = time.monotonic() + within_s
         self._intake.close()
         if self._thread.ident is not None:

@@ -135,10 +135,7 @@ class Intake:
         entry.commit.fail(error)
 
     def take(self, not_before_s: float) -> list[Entry]:
-        """Wait until something is due and `not_before_s` (monotonic) is past, then take everything.
-
-        Returns at once, perhaps with nothing, when the queue is closed.
-        """
+        """Wait until something is due and `not_before_s` (monotonic) past, or the queue closed; take everything."""
         with self._changed:
             while not self.closed:
                 wait_s = max(self._due_s, not_before_s) - time.monotonic()

@@ -50,7 +50,6 @@ class MachineLayout:
 
     @cached_property
     def machine(self) -> Layout:
-        """All sensors in the machine's order."""
         return Layout(kind="machine", name="", members=json.dumps(self.sensor_ids))
 
     @cached_property

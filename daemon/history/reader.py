@@ -12,7 +12,6 @@ from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
 
-from daemon.history.audit import possible_macros, write_records
 from daemon.history.columns.frames import Frame, Kind, concatenate, decode_frame, frame_from_rows
 from daemon.history.columns.joining import (
     in_order,
@@ -35,6 +34,8 @@ from daemon.history.series import (
     EventRecord,
     TemperatureHistory,
     WriteRecord,
+    possible_macros,
+    write_records,
 )
 from models.errors import RefusedInputError
 from models.records import OF_SOURCE, ProbeSample, Reference
@@ -53,10 +54,7 @@ TABLES = {
 
 @contextmanager
 def naming_damage(path: Path) -> Iterator[None]:
-    """Raise HistoryError when a page of the store is not as it was written.
-
-    Flipped bits show in SQLite's own structures, in a text, or in what columns and blobs are unpacked to.
-    """
+    """Raise HistoryError when a page of the store is not as it was written."""
     try:
         yield
     except RefusedInputError:
@@ -233,7 +231,6 @@ class HistoryReader:
 
     @_named_damage
     def writes(self, from_utc_s: float, to_utc_s: float) -> list[WriteRecord]:
-        """Return the audit of macro writes."""
         return write_records(self.frame(WRITES, from_utc_s, to_utc_s))
 
     @_named_damage
@@ -291,7 +288,6 @@ class HistoryReader:
 
     @_named_damage
     def references(self, from_utc_s: float, to_utc_s: float) -> list[Reference]:
-        """Return the references that were set."""
         found = self._connection.execute(
             "SELECT reference_id, monotonic_s, utc_s, real_s, source, degc, program, work_offset, power_on_count "
             "FROM reference_points WHERE utc_ms >= ? AND utc_ms < ? ORDER BY utc_ms, id",

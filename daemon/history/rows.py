@@ -137,7 +137,6 @@ def cnc_row(layout: MachineLayout, sample: CncSample) -> Parameters:
 
 
 def displacement_row(layout: MachineLayout, sample: DisplacementSample) -> Parameters:
-    """Return one row of the logger's file."""
     channels = layout.displacement_channels
     reasons = _mapping(channels, sample.reason, 0) if sample.reason.any() else None
     return round(sample.utc_s * 1e3), _mapping(channels, sample.um), reasons, sample.source
@@ -173,7 +172,6 @@ def intent_row(
     cause: str,
     person: str | None,
 ) -> Parameters:
-    """Return what is about to be written."""
     decided: Parameters = (None,) * 6
     if command is not None:
         decided = (
@@ -199,7 +197,6 @@ def macro_keys(numbers: Sequence[int]) -> list[str]:
 
 
 def outcome_row(layout: MachineLayout, write_id: int, now: Instant, receipt: Receipt) -> Parameters:
-    """Return how a write ended."""
     trace, axes = receipt.trace, layout.axes
     if len(axes) != receipt.applied_um.size:
         axes = tuple(str(position) for position in range(1, receipt.applied_um.size + 1))

@@ -1,9 +1,8 @@
 """Keeps a store to one writer, and notices when the store's file is no longer the one that is written.
 
-Two locks: one on a file beside the store, which says who holds it, and one on the store's own file, which holds
-when somebody deletes the first. Both are of flock(2), which SQLite does not use. But the system drops SQLite's own
-locks on a file when the process closes *any* descriptor of it; therefore the store is opened here before SQLite
-opens it and closed after SQLite has closed it, and never opened twice.
+One lock on a file beside the store, which says who holds it, and one on the store's own, for when somebody deletes the
+first; both of flock(2). The system drops SQLite's own locks when the process closes *any* descriptor of a file: so the
+store is opened here before SQLite opens it, closed after it, and never opened twice.
 """
 
 import fcntl

@@ -142,7 +142,6 @@ def _temperature_columns(history: TemperatureHistory, quality: bool) -> Iterator
 
 
 def names_of(codes: type[Quality] | type[Reason] | type[WriteOutcome]) -> dict[int, str]:
-    """Return codes as their names in lower case."""
     return {int(code): code.name.lower().replace("_", " ") for code in codes}
 
 

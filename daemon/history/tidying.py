@@ -73,10 +73,7 @@ class Housekeeping:
         """Why the latest run did not come to its end, or deletes less than it should; '' when it did."""
 
     async def run(self, config: HistoryConfig, now_utc_s: float) -> HousekeepingReport | None:
-        """Pack and prune in small slices; None while another run goes on.
-
-        What goes wrong is reported and stays in `problem`; what is left is done next time.
-        """
+        """Pack and prune in small slices, what is left next time; None while another run goes on."""
         if self._running.locked():
             return None
         async with self._running:
@@ -96,10 +93,7 @@ class Housekeeping:
         self._report(problem)
 
     async def _pack_and_prune(self, config: HistoryConfig, now_utc_s: float, report: HousekeepingReport) -> str:
-        """Pack what is old enough, remove what is too old and waits for no sink, say what a sink has missed.
-
-        Result: the problem that is left.
-        """
+        """Pack what is old enough, remove what is too old, say what a sink has missed; return the problem left."""
         history = self._history
         async with aclosing(packed_hours(history.path, config, now_utc_s)) as hours:
             async for hour in hours:

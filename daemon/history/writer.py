@@ -114,11 +114,7 @@ class HistoryWriter:
         self._lock.acquire()
 
     def start(self) -> None:
-        """Open the store and start the thread.
-
-        Raises HistoryError when the store is another program's, newer, or has a writer already. A
-        full or failing disk is reported through `on_problem`, and tried again.
-        """
+        """Open the store and start the thread; raises HistoryError where the store must not be written."""
         self._lock.acquire()
         self._engine.start()
         if self._engine.refusal is not None:

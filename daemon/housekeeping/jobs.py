@@ -101,7 +101,6 @@ class ScheduledProcess(ABC):
             raise OSError(f"its folder has not answered for {LOOK_WITHIN_S:g} s") from error
 
     def snapshot(self) -> JobSnapshot:
-        """Return what status shows."""
         attempted = math.isfinite(self.attempted_utc_s)
         return JobSnapshot(
             name=self._event,

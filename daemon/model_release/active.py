@@ -4,12 +4,7 @@ import os
 from pathlib import Path
 
 from config.files import read_whole, sha256_of
-from config.records.release_record import (
-    ReleaseRecord,
-    ReleaseRecordError,
-    load_release_record,
-    read_release_record,
-)
+from config.records.release_record import ReleaseRecord, ReleaseRecordError, load_release_record, read_release_record
 from config.schema import Configuration
 from config.signing import SigningError, TrustedKeys, signature_of
 

@@ -56,12 +56,7 @@ class RecordingTable:
                 "that is measured; download temperatures instead"
             )
         self._minutes = minutes_of_history(
-            configuration,
-            reader,
-            self._channels,
-            commissioned_um_per_unit(configuration),
-            export.from_s,
-            export.to_s,
+            configuration, reader, self._channels, commissioned_um_per_unit(configuration), export.from_s, export.to_s
         )
         self._first = next(self._minutes, None)
         if self._first is None:

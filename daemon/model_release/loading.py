@@ -57,7 +57,6 @@ class LoadedModel(Generic[AnyModel]):
         return f"{words}; WARNING: {self.warning}" if self.warning else words
 
     def snapshot(self) -> ModelSnapshot:
-        """Return the same for status."""
         record = self.record
         return ModelSnapshot(
             model_id=self.model.model_id if self.model is not None else None,
@@ -176,10 +175,7 @@ def read_model(
 def model_from_text(
     content: bytes, source: str, sensor_ids: Iterable[int], channels: Iterable[str], positions: Iterable[str] = ()
 ) -> tuple[ThermalModel | None, str]:
-    """Return the model that a file's bytes hold, or why it cannot serve such a machine.
-
-    `positions`: names of the axis positions that are read from the control.
-    """
+    """Return the model that a file's bytes hold, or why it cannot serve a machine with these axis `positions`."""
     try:
         model = model_from_json(content, source)
     except ModelError as error:

@@ -1,10 +1,8 @@
 """What probes and displacements of the history say of the models: the error, and what the estimate left of it.
 
-Of a probe as the output's own watch counts it: measured minus what is applied beyond the baseline, which is what the
-guard had applied when the work's reference was set. Of displacements as training takes them, since the first minute of
-a stretch under one model and one reference: where their sensors have their zero says nothing. On an axis with a slope
-estimate and compensation are those where it stood, and every place has its own first minute; what is not known there is
-counted, and not judged.
+Of a probe measured minus what is applied beyond the baseline. Of displacements as training takes them, since the first
+minute of a stretch under one model and one reference, because their zero says nothing. On an axis with a slope every
+place has its own first minute; what is not known there is counted, and not judged.
 """
 
 from collections import Counter

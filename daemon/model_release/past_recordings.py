@@ -1,8 +1,7 @@
 """Recordings for training from the daemon's own history: one-minute means, displacements without what was applied.
 
-Displacement sensors feel what the NC applies, so the machine's own error is measured minus applied (the guard's echo,
-minute by minute; of an axis with a slope, where it stood). Where compensation may have been on and what was applied is
-unknown, the minute has no displacement; nor while a FANUC or LinuxCNC applies a slope, for where the guard was called.
+Displacement sensors feel what the NC applies, so the machine's own error is measured minus applied (the guard's echo).
+Where that is unknown, or a FANUC or LinuxCNC applies a slope, the minute has no displacement.
 """
 
 from collections.abc import Iterator, Mapping
@@ -82,11 +81,10 @@ def recordings_from_history(
     to_utc_s: float,
     positions: bool = False,
 ) -> list[Recording]:
-    """Return the stretches with displacements that are long enough to train on.
+    """Return the stretches with displacements that are long enough to train on; raises DatasetError.
 
-    `um_per_unit` is what one unit of an axis' echo macro means [um]; None on a machine that was never
-    commissioned, where nothing can have been applied. With `positions` the axis positions are inputs too. Raises
-    DatasetError without a measured channel that an axis follows, and when no stretch is long enough.
+    `um_per_unit` is what one unit of an axis' echo macro means [um]; None on a machine that was never commissioned,
+    where nothing can have been applied. With `positions` the axis positions are inputs too.
     """
     channels = used_channels(configuration)
     if not channels:
@@ -134,10 +132,7 @@ def minutes_of_history(
     *,
     temperatures: bool = True,
 ) -> Iterator[Minutes]:
-    """Yield one-minute means, piece by piece, as far as displacements were measured.
-
-    Without `temperatures` those have no columns.
-    """
+    """Yield one-minute means, piece by piece, as far as displacements were measured."""
     extent = reader.extent("displacements")
     if extent is None:
         return

@@ -28,11 +28,7 @@ TIME, SPEED = "utc_s", "spindle_speed_rpm"
 def write_recordings(
     configuration: Configuration, reader: HistoryReader, output: Path, *, from_utc_s: float, to_utc_s: float
 ) -> list[Path]:
-    """Write every stretch of the history with displacements as a file of its own; return the files.
-
-    Several are numbered. A map stands beside them where their columns do not carry the usual names. Raises
-    DatasetError when there is no stretch to train on, OSError when nothing can be written.
-    """
+    """Write every stretch of the history with displacements as a file, with a map where names are unusual."""
     um_per_unit = commissioned_um_per_unit(configuration)
     found = recordings_from_history(
         configuration, reader, um_per_unit, from_utc_s=from_utc_s, to_utc_s=to_utc_s, positions=True

@@ -94,10 +94,9 @@ def release(
     kind: Kind | None = None,
     trained_on: str = "",
 ) -> ReleaseRecord:
-    """Check a proposal and make it the active model of its kind (None: a thermal model).
+    """Check a proposal and make it the active model of its kind (None: thermal); raises ReleaseError.
 
     `trained_on`: another machine, of which a person says that a model that was trained on it serves this one too.
-    Raises ReleaseError with the reason when it is refused. The policy knows thermal models alone.
     """
     kind = kind or THERMAL
     repository, key = kind.repository(configuration), _key(configuration)
@@ -166,12 +165,7 @@ def release_by_policy(configuration: Configuration, *, person: str) -> ReleaseRe
 
 
 def rollback(
-    configuration: Configuration,
-    *,
-    person: str,
-    to: int | None = None,
-    note: str = "",
-    kind: Kind | None = None,
+    configuration: Configuration, *, person: str, to: int | None = None, note: str = "", kind: Kind | None = None
 ) -> ReleaseRecord:
     """Make an earlier release of a kind (None: thermal) active again, under a new number; raises ReleaseError."""
     kind = kind or THERMAL

@@ -1,12 +1,7 @@
 """The folder of released models: one folder per release, and a symbolic link that names the active one.
 
-    model.json -> releases/0003/model.json
-    releases/0001/model.json, release.json
-    ...
-
-A release folder is complete before it gets its name, and is never changed again. Activating is the
-renaming of one symbolic link, so that nobody ever reads half of a release. Another kind of model in the
-same place has a folder of releases of its own.
+model.json -> releases/0003/model.json. A release folder is complete before it gets its name, and is never changed
+again; activating renames one link, so that nobody ever reads half of a release.
 """
 
 import fcntl
@@ -19,11 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from config.files import read_whole, sha256_of, sync_folder
-from config.records.release_record import (
-    ReleaseRecord,
-    ReleaseRecordError,
-    load_release_record,
-)
+from config.records.release_record import ReleaseRecord, ReleaseRecordError, load_release_record
 from config.signing import signature_beside
 from config.signing_key import SigningKey
 from daemon.model_release.active import RECORD_NAME, released

@@ -20,12 +20,7 @@ DAY_S = 86400.0
 
 
 def propose_from_history(configuration: Configuration, retraining: RetrainingConfig) -> dict[str, Any]:
-    """Train on the history, write a proposal, and return what came of it.
-
-    The release's own gate judges the proposal; nothing is activated here. Raises DatasetError when the
-    history cannot be trained on, HistoryError or CommissioningError when a file cannot be read, OSError when
-    nothing can be written.
-    """
+    """Train on the history, write a proposal for the release's gate, and return what came of it."""
     um_per_unit = commissioned_um_per_unit(configuration)
     now_s = time.time()
     with HistoryReader(configuration.history.path) as reader:

@@ -1,10 +1,7 @@
 """Loads the released thermal model in a process beside the daemon, so that reading and checking it holds nothing up.
 
-A large model takes a third of a second of parsing, checksums and trials, most of it in single calls that let no
-other thread run. The process leaves the arrays in memory that both share; the daemon maps them and copies nothing.
-
-`python -P -m daemon.model_release.side_load FD` is started by `load_beside` alone: it reads the configuration from
-its standard input and leaves the model in the memory behind FD.
+`python -P -m daemon.model_release.side_load FD` reads the configuration from standard input and leaves the model in the
+shared memory behind FD: parsing in the daemon would take a third of a second in which no other thread runs.
 """
 
 import asyncio

@@ -24,11 +24,7 @@ class CommandDesk:
     """Turns requests from the socket into requests to the output; what came of them is read from the snapshots."""
 
     def __init__(
-        self,
-        status: StatusBoard,
-        snapshots: SnapshotBoard,
-        actions: OutputActions,
-        axes: Mapping[str, AxisConfig],
+        self, status: StatusBoard, snapshots: SnapshotBoard, actions: OutputActions, axes: Mapping[str, AxisConfig]
     ) -> None:
         self._status = status
         self._snapshots = snapshots
@@ -100,12 +96,7 @@ class CommandDesk:
         except TimeoutError:
             return {"decided": False}
         control = self._snapshots.control
-        return {
-            "decided": True,
-            "state": control.state.value,
-            "reason": control.reason,
-            "alarm": control.alarm,
-        }
+        return {"decided": True, "state": control.state.value, "reason": control.reason, "alarm": control.alarm}
 
     def _submit(self, request: OperatorRequest, person: str) -> None:
         if refusal := self._actions.request(request, person):

@@ -57,12 +57,7 @@ class BoundedConnections:
     """Serves each connection in a task; when too many are open, the one that was quiet longest is ended."""
 
     def __init__(
-        self,
-        name: str,
-        serve: Serve,
-        *,
-        most: int = MOST_CONNECTIONS,
-        share_of_descriptors: int = SHARE_OF_DESCRIPTORS,
+        self, name: str, serve: Serve, *, most: int = MOST_CONNECTIONS, share_of_descriptors: int = SHARE_OF_DESCRIPTORS
     ) -> None:
         """`serve` ends by itself when its connection does; the connection is closed after it."""
         self._name = name

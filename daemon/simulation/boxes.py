@@ -65,10 +65,7 @@ def swinging_degc(sensor_ids: Sequence[int]) -> list[float]:
 
 @contextlib.asynccontextmanager
 async def simulated_sources(configuration: Configuration) -> AsyncIterator[Configuration]:
-    """Serve a box for every source; yield the configuration with their addresses instead of its own.
-
-    Raises SimulationError for a source that cannot be simulated.
-    """
+    """Serve a box for every source; yield the configuration with their addresses. Raises SimulationError."""
     temperatures = configuration.temperatures
     moved = [_here(source) for source in temperatures.sources or ()]
     try:

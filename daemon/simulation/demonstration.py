@@ -23,11 +23,7 @@ bytes of a line wait, so every cycle of it must arrive, once."""
 
 
 def too_slow(late_s: float, speed: float, cycle_period_s: float) -> str:
-    """Return that this computer cannot simulate at `speed`, and at which it may.
-
-    `late_s` is how long the simulator waited for its turn at worst. A line that is silent for a share of its cycle
-    period has ended its pass: who waits that long leaves the cycle incomplete.
-    """
+    """Return that this computer, late by `late_s` at worst, cannot simulate at `speed`, and at which it may."""
     silence_s = max(SILENCE_PERIODS * cycle_period_s / speed, MIN_SILENCE_REAL_S)
     possible = int(min(SILENCE_PERIODS * cycle_period_s / (2 * max(late_s, 1e-6)), speed / 2))
     advice = f"use --speed {possible}" if possible >= 1 else "end other programs"
@@ -76,10 +72,7 @@ def settle(running: RunningSimulation) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def result(final: dict[str, Any], status: dict[str, Any], slow: str = "") -> tuple[dict[str, Any], list[str]]:
-    """Return the demonstration's numbers and every check of its own that failed.
-
-    `slow` says that the computer is too slow; it comes first where cycles are incomplete without a fault, or missing.
-    """
+    """Return the demonstration's numbers and every check that failed; `slow`: the computer was too slow."""
     errors = {}
     untouched = {"uncompensated_max_um": 0.0, "compensated_max_um": 0.0}
     for axis in status["axes"]:

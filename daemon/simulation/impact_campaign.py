@@ -13,7 +13,6 @@ from drivers.sim.machine.day import Day
 from drivers.sim.spindle.impact_campaign import run_campaign
 
 SPINDLE = "simulated_machine"
-"""The shipped spindle file of the simulated machine."""
 BAND_HZ = (300.0, 2500.0)
 
 

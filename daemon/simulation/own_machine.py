@@ -1,8 +1,7 @@
 """A configuration on the simulated machine: its sensors, its axes and its CNC driver, before a cable is laid.
 
-Sensors sit where their component's words say, or somewhere for ever the same. What the configuration says of wires,
-reference and safe points is replaced by what the simulated machine has; a model is trained on simulated days with these
-very sensors, because a model of the real machine knows nothing of this one.
+Sensors sit where their component's words say, or somewhere for ever the same. Wires, reference and safe points are
+those of the simulated machine; a model is trained on simulated days with these very sensors.
 """
 
 import json
@@ -28,7 +27,7 @@ from daemon.simulation.simulated_model import CHANNELS, simulated_recording, tra
 from daemon.workbench.thermal.training import write_model_file
 from drivers.contract import SIMULATED_CNC_IDENTITY
 from drivers.guard.text import GUARD_VERSION
-from drivers.sim.machine.sensor_places import COMPONENTS
+from drivers.sim.machine.sensors import COMPONENTS
 from drivers.sim.machine.travel import axis_travels
 from drivers.sim.wires.pushed_wires import follows
 from drivers.sim.wires.source_wires import as_simulated, face_of
@@ -75,10 +74,7 @@ def placed(component: str) -> str:
 
 
 def prepare(path: Path, directory: Path, *, speed: float, http_port: int | None, say: Callable[[str], None]) -> Path:
-    """Write configuration, model and record of such a simulation into a folder; return the configuration's path.
-
-    `say` takes what is different from the real machine. Raises SimulationError, ConfigurationError.
-    """
+    """Write such a simulation's configuration, model and record into a folder; return the configuration's path."""
     configuration = load_configuration(path)
     base = yaml.safe_load(path.read_text(encoding="utf-8"))
     base["machine"] = f"simulated {configuration.machine}"

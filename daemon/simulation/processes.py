@@ -99,11 +99,7 @@ def write_simulation_configuration(
     output["stale_after_s"] = min(max(60.0, speed), 300.0)
     output["alarm_after_s"] = 300.0
     base["history"] = {"path": str(directory / "history.sqlite")}
-    base["service"] = {
-        "socket": str(directory / "control.sock"),
-        "http_port": http_port,
-        "log_level": "info",
-    }
+    base["service"] = {"socket": str(directory / "control.sock"), "http_port": http_port, "log_level": "info"}
     path = directory / "toolpoint.yaml"
     path.write_text(yaml.safe_dump(base, sort_keys=False, width=120), encoding="utf-8")
     return path, load_configuration(path)
@@ -240,12 +236,7 @@ def _ended_by_signals() -> Iterator[None]:
 
 
 def _start(
-    simulate_arguments: Sequence[str],
-    config_path: Path,
-    speed: float,
-    lead: float,
-    epoch_utc_s: float,
-    directory: Path,
+    simulate_arguments: Sequence[str], config_path: Path, speed: float, lead: float, epoch_utc_s: float, directory: Path
 ) -> RunningSimulation | None:
     """Start both, the time `lead` times the loading of the simulated machine later; None when they were not ready."""
     toolpoint = [sys.executable, "-P", "-m", "daemon.cli"]

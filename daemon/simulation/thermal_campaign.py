@@ -42,11 +42,6 @@ class _Minutes:
     chiller: FloatArray
 
 
-def dataset_file(number: int) -> str:
-    """Return the name of a data set's file."""
-    return f"dataset-{number:02}.csv"
-
-
 def run_thermal_campaign(
     folder: Path,
     campaign: ThermalCampaign,
@@ -104,9 +99,7 @@ def _day(seed: int, number: int, start_day: float) -> Day:
     drawn = Day.draw(seed, start="cold")
     deviations = np.random.default_rng([seed, 3, number]).uniform(-0.25, 0.25, len(drawn.start_deviation_k))
     ambient = replace(
-        drawn.ambient,
-        seed=drawn.ambient.seed + number,
-        warmest_at_s=drawn.ambient.warmest_at_s - 86400.0 * start_day,
+        drawn.ambient, seed=drawn.ambient.seed + number, warmest_at_s=drawn.ambient.warmest_at_s - 86400.0 * start_day
     )
     return replace(
         Day.nominal(start="cold"),
@@ -165,7 +158,7 @@ def _write_datasets(
         rows = slice(first, first + campaign.minutes + 1)
         entry = {
             "dataset": operation.dataset,
-            "file": dataset_file(operation.dataset),
+            "file": f"dataset-{operation.dataset:02}.csv",
             **_conditions(operation),
             "series": number,
             "start_h": round(24.0 * series.start_day + first / 60.0, 4),

@@ -37,7 +37,6 @@ def refusal(error: Exception, config: BrokerConfig) -> str:
 
 
 def reason(code: int, name: str) -> str:
-    """Return what a reason code of the broker means."""
     return f"{name}: {REFUSED.get(code, 'it is tried again')}"
 
 
@@ -61,7 +60,6 @@ def closed_at_once(config: BrokerConfig) -> str:
 
 
 def unanswered(config: BrokerConfig) -> str:
-    """Return that something is there which does not answer as a broker does."""
     return (
         f"no answer within `timeout_s` ({config.timeout_s:g} s): check `port`, and that it speaks MQTT 5, for "
         "Sparkplug at least 3.1.1"
@@ -100,7 +98,6 @@ def primary_host_went(topic: str) -> str:
 
 
 def name_in_use(machine: str, topic: str) -> str:
-    """Return that another store has the name of this machine."""
     return (
         f"another store sends as {machine}, which it says at {topic}, so the history of this one waits: `machine` must "
         "differ from computer to computer"
@@ -122,5 +119,4 @@ def nobody_subscribes(topics: list[str]) -> str:
 
 
 def no_acknowledgement(config: BrokerConfig) -> str:
-    """Return that the broker is there and says nothing."""
     return f"no acknowledgement within `timeout_s` ({config.timeout_s:g} s): look at the broker and the network"

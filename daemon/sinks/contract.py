@@ -75,7 +75,6 @@ class Progress:
     save: Callable[[Cursor], None]
 
     def position(self, stream: str) -> Position:
-        """Return how far a stream was taken."""
         return self.cursor.positions.get(stream, Position())
 
     def acknowledged(self, stream: str, after: Position, newest_utc_s: float | None, *, sent: int, stored: int) -> None:

@@ -134,7 +134,6 @@ class Database:
             self._connection.close()
 
     def refused(self, error: Exception) -> SinkError:
-        """Return what an error of the database means for a person."""
         return self.problem(refusal(error, self._config))
 
     def problem(self, text: str) -> SinkError:

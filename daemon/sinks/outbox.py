@@ -80,7 +80,6 @@ STREAMS = {
         ),
     )
 }
-"""Every stream by its name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,7 +93,6 @@ class Batch:
 
     @property
     def newest_utc_s(self) -> float:
-        """Time of the newest row."""
         return float(max(row[0] for row in self.rows)) / 1e3
 
 
@@ -131,11 +129,15 @@ class Outbox(HistoryReader):
         if position.row >= self.last_row(stream) and not self._has_old_chunks():
             return None
         with naming_damage(self.path), self._snapshot() as connection:
-            if (old := self._first_old_chunk(connection, stream, position)) is not None:
+            if (
+                old := self._chunk(
+                    connection, stream, "chunk_id", "last_row_id IS NULL AND chunk_id > ?", position.chunk
+                )
+            ) is not None:
                 chunk_id, layout_id, data = old
                 rows = self._unpacked(stream, layout_id, data)
                 return Batch(stream=stream, rows=rows, after=replace(position, chunk=chunk_id))
-            next_chunk = self._first_chunk(connection, stream, position)
+            next_chunk = self._chunk(connection, stream, "last_row_id", "last_row_id > ?", position.row)
             before = 2**62 if next_chunk is None else next_chunk[0]
             if (raw := self._raw(connection, stream, position, before)) is not None:
                 return raw if raw.rows else None
@@ -298,16 +300,6 @@ class Outbox(HistoryReader):
             with naming_damage(self.path):
                 self._old_chunks = self._connection.execute(query, kinds).fetchone() is not None
         return self._old_chunks
-
-    def _first_old_chunk(
-        self, connection: sqlite3.Connection, stream: Stream, position: Position
-    ) -> tuple[int, int, bytes] | None:
-        return self._chunk(connection, stream, "chunk_id", "last_row_id IS NULL AND chunk_id > ?", position.chunk)
-
-    def _first_chunk(
-        self, connection: sqlite3.Connection, stream: Stream, position: Position
-    ) -> tuple[int, int, bytes] | None:
-        return self._chunk(connection, stream, "last_row_id", "last_row_id > ?", position.row)
 
     def _chunk(
         self, connection: sqlite3.Connection, stream: Stream, number: str, condition: str, after: int

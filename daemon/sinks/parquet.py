@@ -230,7 +230,6 @@ class DayFile:
 
 
 def day_file(outbox: Outbox, stream: Stream, day: int) -> DayFile:
-    """Return a day of a stream as a Parquet file."""
     span = day * DAY_S, (day + 1) * DAY_S
     if stream.name == TEMPERATURES:
         return _written(_TEMPERATURES, _lines(outbox, *span))
@@ -296,7 +295,6 @@ def _lines(outbox: Outbox, from_utc_s: float, to_utc_s: float) -> Iterator[tuple
 
 
 def _line(history: TemperatureHistory, line: str) -> tuple[pyarrow.Table, int]:
-    """Return the values of one line, and its cycles."""
     own = (history.quality != NOT_IN_CYCLE) & (np.array(history.line) == line)[:, None]
     whole = len(own) // DELTAS * DELTAS
 
@@ -348,7 +346,6 @@ class _Unpacked:
         self.columns = [TableColumn(name=name, type=_TYPES.get(name, TableType.TEXT)) for name in names]
 
     def windows(self) -> Iterator[list[Values]]:
-        """Yield all of it."""
         if self._rows:
             columns = zip(*self._rows, strict=True)
             yield [_values(column.type, values) for column, values in zip(self.columns, columns, strict=True)]

@@ -105,7 +105,6 @@ class SinkRunner:
 
     @property
     def cursor(self) -> Cursor:
-        """How far it is, and how it fares."""
         return self._progress.cursor
 
     def run(self) -> None:

@@ -31,8 +31,7 @@ from daemon.sinks.contract import Progress, SinkWaitsError
 from daemon.sinks.current import Freshness
 from daemon.sinks.mqtt import topic_level
 from daemon.sinks.outbox import STREAMS, Batch, Outbox
-from daemon.sinks.sparkplug_metrics import row_metrics
-from daemon.sinks.sparkplug_payload import DataType, Metric, asks_for_rebirth, encode
+from daemon.sinks.sparkplug_metrics import DataType, Metric, asks_for_rebirth, encode, row_metrics
 
 log = structlog.get_logger(__name__)
 NAMESPACE = "spBv1.0"
@@ -190,7 +189,6 @@ class SparkplugSink:
         return payload not in self._unheard[topic]
 
     def _die(self) -> None:
-        """Say that nothing is recorded any more."""
         with self._lock:
             if self._alive:
                 self._alive = False

@@ -139,7 +139,6 @@ class SpeedBlock:
         return (ours.for_tool, ours.for_speed, ours.for_feed, ours.for_depth, ours.for_radial, ours.for_kind)
 
     def pair(self, found: MacroValues) -> SpeedPair:
-        """Return the pair that a whole block holds."""
         if found.get(self._map.enable) != 1.0:
             return DISABLED
         tool_number, speed_rpm, feed_mm_min, depth_mm, radial_mm, kind = (
@@ -164,7 +163,6 @@ class SpeedBlock:
         return found.get(self._map.echo_speed)
 
     def status(self, found: MacroValues) -> int | None:
-        """Return what the speed program did last."""
         return status_of(found.get(self._map.echo_status))
 
     def sequence(self, found: MacroValues) -> int:

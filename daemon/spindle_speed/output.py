@@ -63,10 +63,7 @@ class SpindleSpeedOutput:
             self.follower.worker.take(time.monotonic_s, temperatures.believed_degc, temperatures.doubted)
 
     async def serve(self, session: CncSession | None, phase: Phase, sample: CncSample | None) -> None:
-        """Read the operation when it is time, decide, and write what is due.
-
-        `sample` is the latest poll, with the part program's block while a program of the guard runs.
-        """
+        """Read the operation when it is time, decide, and write what is due; `sample` is the latest poll."""
         if self.follower is not None:
             await self.follower.follow(session, phase, sample)
 
@@ -86,7 +83,6 @@ class SpindleSpeedOutput:
         return follower is None or (bool(follower.switch.inhibit) and not follower.followed)
 
     def close(self) -> None:
-        """Release what is open."""
         if self.follower is not None:
             self.follower.writer.close()
 

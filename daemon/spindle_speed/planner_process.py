@@ -1,8 +1,4 @@
-"""Keeps the process that plans the spindle speed: starts it, asks it, ends it, says when it is lost; keeps its plan.
-
-One process, owned by the daemon's task group. It is killed when it gives no answer in time, and with the daemon. While
-it is not there no speed is planned, so the commanded one is frozen with the reason.
-"""
+"""Keeps the process that plans the spindle speed and its plan; while it is lost, the commanded speed is frozen."""
 
 import asyncio
 import math
@@ -41,10 +37,7 @@ async def _answer_time() -> None:
 
 
 class PlannerProcess:
-    """The planner of the spindle speed in a process of its own.
-
-    `attempt` runs one process until it is lost; its supervisor calls it again.
-    """
+    """The planner of the spindle speed in a process of its own, which `attempt` runs until it is lost."""
 
     def __init__(
         self,
@@ -233,11 +226,7 @@ class SpeedWorker:
         unplanned = called is not None and place is not None and (self._latest is None or self._latest.called != called)
         if self._last_s is not None and (self._readings or unplanned):
             request = PlanRequest(
-                readings=tuple(self._readings),
-                time_s=self._last_s,
-                called=called,
-                place=place,
-                doubted=self._doubted,
+                readings=tuple(self._readings), time_s=self._last_s, called=called, place=place, doubted=self._doubted
             )
             self._readings.clear()
             self._task = asyncio.create_task(self._planner.plan(request))

@@ -1,7 +1,4 @@
-"""Plans spindle speeds: follows spindle and bearings over temperature, and chooses by the cutting case.
-
-Slow, and with much to import: the daemon runs it in a process of its own (`daemon.speed_planner`).
-"""
+"""Plans spindle speeds by the cutting case over temperature: slow, so the daemon runs it in a process of its own."""
 
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -94,10 +91,7 @@ class OperationPlanning:
         )
 
     def unverified(self, plan: SpeedPlan) -> str:
-        """Return why the command may stand where nothing was verified, '' when it cannot.
-
-        It may be off the target by the hysteresis, and the target by what a flagged property is worth.
-        """
+        """Return why the command may stand where nothing was verified, '' when it cannot."""
         tuning, span_rpm = self._tuning, plan.flagged_span_rpm
         allowed_rpm = tuning.tolerance_rpm(plan.choice.speed_rpm)
         if not plan.choice.stable or not 0.0 < span_rpm <= tuning.hysteresis_rpm:

@@ -1,8 +1,7 @@
 """Moves the spindle speed with the stability pockets: reads the operation, decides, writes the pair.
 
-Owned by the control task, which alone talks to the CNC. What is slow happens in `SpeedWorker`; what is
-commanded, and when, is decided by `models.spindle_speed.tuning.step`. The CNC takes a pair only when its
-speed program runs, at a safe block, and only for the operation that it was made for.
+Owned by the control task. What is slow happens in `SpeedWorker`; what is commanded, and when, is decided by
+`models.spindle_speed.tuning.step`. The CNC takes a pair only at a safe block, for the operation that it was made for.
 """
 
 import math
@@ -15,9 +14,8 @@ from daemon.cnc.interlocks import Interlocks
 from daemon.cnc.session import CncSession
 from daemon.snapshots import SpindleSpeedSnapshot
 from daemon.spindle_speed.calls import SpeedCalls, SpeedOperation
-from daemon.spindle_speed.decision import OperationState, SpeedDecision
+from daemon.spindle_speed.decision import OperationMemories, OperationState, SpeedDecision, SpeedSwitch
 from daemon.spindle_speed.macro_block import DISABLED, MacroValues, SpeedBlock, SpeedPair
-from daemon.spindle_speed.memory import OperationMemories, SpeedSwitch
 from daemon.spindle_speed.messages import PlannedSpeed
 from daemon.spindle_speed.planner_process import SpeedWorker
 from daemon.spindle_speed.turning import TurningSpeed

@@ -12,7 +12,6 @@ from drivers.contract import FatalDriverError
 from models.records import WriteOutcome
 
 SPEED_CAUSE = "spindle speed"
-"""Cause of these writes in the audit."""
 RENEW_SHARE = 1.0 / 3.0
 """The pair is written again after this share of its validity."""
 ROUNDING_RPM = 0.5
@@ -49,7 +48,6 @@ class SpeedWriter:
         """What the block says, or is to say once more after a write with an unknown outcome."""
 
     def close(self) -> None:
-        """Release the file."""
         self._last.close()
 
     def mismatch(self, found: MacroValues, clock_s: float, now_s: float) -> str:

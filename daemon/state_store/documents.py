@@ -35,7 +35,6 @@ class OutputFault:
 
     reasons: tuple[str, ...]
     number: int = 0
-    """Number of the newest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,13 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from daemon.state_store.documents import (
-    DaemonAlive,
-    OutputFault,
-    SpindleSpeeds,
-    SpindleSpeedSwitch,
-    WantedAxes,
-)
+from daemon.state_store.documents import DaemonAlive, OutputFault, SpindleSpeeds, SpindleSpeedSwitch, WantedAxes
 from models.control.reference_records import ReferenceDocument
 
 Old = Callable[[str], Any]
@@ -17,10 +11,7 @@ Old = Callable[[str], Any]
 
 
 def from_0_1_0(kind: type, old: Old) -> Any:
-    """Return a document in today's JSON values, None where 0.1.0 kept nothing.
-
-    Raises KeyError, TypeError or AttributeError where it is not as 0.1.0 wrote it.
-    """
+    """Return a document in today's JSON values, None where 0.1.0 kept nothing; raises KeyError, TypeError."""
     return _READERS.get(kind, _nothing)(old)
 
 

@@ -85,10 +85,7 @@ def to_json(value: Any) -> Any:
 
 
 def from_json(kind: Any, value: Any, now: Instant) -> Any:
-    """Return JSON values as what `kind` says; the age of an instant is carried over by the calendar clock.
-
-    Raises DocumentError when they are something else.
-    """
+    """Return JSON values as what `kind` says, ages by the calendar clock; raises DocumentError."""
     origin, of = get_origin(kind), get_args(kind)
     if origin in (types.UnionType, Union):
         if value is None and type(None) in of:
@@ -156,7 +153,6 @@ def _checked(value: Any, kind: Any) -> Any:
 
 
 def document_json(document: Any) -> dict[str, Any]:
-    """Return a document as it stands in the store."""
     stored: dict[str, Any] = json.loads(_checked_text(json.dumps({VERSION_KEY: FORMAT_VERSION, **to_json(document)})))
     return stored
 
@@ -176,7 +172,6 @@ class StateStore:
         """The latest record of each kind within a document, and its text."""
 
     def put(self, document: Any) -> Commit:
-        """Keep a document for the next start of the daemon."""
         key = KEYS[type(document)]
         texts = (f'"{field.name}": {self._text(getattr(document, field.name))}' for field in fields(document))
         text = f'{{"{VERSION_KEY}": {FORMAT_VERSION}, {", ".join(texts)}}}'
@@ -193,10 +188,7 @@ class StateStore:
         return text
 
     def get(self, kind: type[Document]) -> Document | None:
-        """Return the document of this kind, None where there is none; may be called before the history's start.
-
-        One that cannot be read is none, but denies what it could have denied.
-        """
+        """Return the document of this kind, None where none can be read; may be called before the history's start."""
         try:
             document = self._read(kind)
         except DocumentError as error:

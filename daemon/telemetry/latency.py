@@ -1,8 +1,7 @@
 """Delays: their parts, and percentiles of many.
 
-A delay has two kinds of parts. Waiting for a sensor's turn and for the wire happens in the
-machine's time, which a simulation scales; what the product adds happens on this computer and is
-counted on its own clock. A total is the sum of its parts, never a difference of two instants.
+Waiting for a sensor's turn and for the wire is in the machine's time, which a simulation scales; what the product adds
+is on this computer's clock. A total is the sum of its parts, never a difference of two instants.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -116,9 +115,8 @@ class CycleDelay:
 class CycleDelays:
     """Follows the passes of every line.
 
-    Arrival times on a clock that is scaled are only as fine as this computer's scheduling times the
-    speed, so that at sixty-fold speed a pause of 10 ms would count as 0.6 s on the wire. There the
-    period and the line time that the simulated wires have by construction are taken instead.
+    On a scaled clock arrivals are only as fine as this computer's scheduling times the speed; there the period and line
+    time that the simulated wires have by construction are taken instead.
     """
 
     def __init__(self, timings: Mapping[str, LineTiming], *, scaled: bool) -> None:

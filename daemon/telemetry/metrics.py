@@ -8,14 +8,7 @@ import structlog
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
 from daemon.telemetry.latency import PUBLISHED_DELAY_S, PUBLISHED_NOTE, CycleDelays, DelaySeries, LineTiming, warm_up
-from models.records import (
-    CompensationCommand,
-    FloatArray,
-    OutputState,
-    Receipt,
-    TemperatureCycle,
-    Trace,
-)
+from models.records import CompensationCommand, FloatArray, OutputState, Receipt, TemperatureCycle, Trace
 
 log = structlog.get_logger(__name__)
 
@@ -100,10 +93,7 @@ class Telemetry:
             registry=registry,
         )
         self._published = Gauge(
-            "toolpoint_published_delay_seconds",
-            f"Published means: {PUBLISHED_NOTE}",
-            ["part"],
-            registry=registry,
+            "toolpoint_published_delay_seconds", f"Published means: {PUBLISHED_NOTE}", ["part"], registry=registry
         )
         for part, seconds in PUBLISHED_DELAY_S.items():
             self._published.labels(part).set(seconds)

@@ -1,7 +1,4 @@
-"""Figures as data, drawn as PNG by matplotlib and as parts of an HTML page by plotly.
-
-Both libraries are imported when something is drawn. A page holds all that it needs.
-"""
+"""Figures as data, drawn as PNG by matplotlib and as parts of an HTML page, complete in one file, by plotly."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -42,10 +42,7 @@ def _unit(of: Measured) -> str | None:
 
 
 class LoggerSource(PushedSource):
-    """Each row is a cycle: at its time stamp, or, where rows have none, when it was read.
-
-    What was written before the source was opened is history and not delivered, but for the latest rows.
-    """
+    """Each row that comes is a cycle: at its time stamp, or, where rows have none, when it was read."""
 
     def __init__(self, source: SourceEntry, clock: Clock) -> None:
         super().__init__(source, clock)

@@ -28,10 +28,7 @@ class SourceDisplacements:
                 for fault in row.faults:
                     on_problem(fault)
                 yield DisplacementSample(
-                    utc_s=row.trace.first_byte.utc_s,
-                    um=row.values,
-                    reason=row.reason,
-                    source=f"{OF_SOURCE}{self.name}",
+                    utc_s=row.trace.first_byte.utc_s, um=row.values, reason=row.reason, source=f"{OF_SOURCE}{self.name}"
                 )
 
     async def close(self) -> None:

@@ -11,7 +11,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 
 from config.schema.displacements import DisplacementChannelConfig, DisplacementFileConfig, DisplacementsConfig
-from config.schema.logger_file import LoggerFileConfig
+from config.schema.source_sections import LoggerFileConfig
 from models.quality import Reason
 from models.records import DisplacementSample
 
@@ -102,11 +102,7 @@ class RowReader:
         return self._columns is not None
 
     def read(self, line: bytes, number: int, encoding: str | None = None) -> DisplacementSample | None:
-        """Return the sample of a line, counted from 1; None for every other line, and for a reported bad row.
-
-        `encoding`: what the file says of itself.
-        Raises UnreadableFileError at a header that lacks a configured column.
-        """
+        """Return the sample of a line, counted from 1; None for others and a bad row. Raises UnreadableFileError."""
         text = line.decode(encoding or self._encoding, errors="replace").rstrip("\r\n").lstrip("\ufeff")
         if self._file_config.header and text.lstrip('"').startswith(self._file_config.header.lstrip('"')):
             try:

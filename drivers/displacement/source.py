@@ -48,12 +48,7 @@ class DisplacementCsvSource:
     """
 
     def __init__(
-        self,
-        config: Logged,
-        clock: Clock,
-        *,
-        after_utc_s: float | None = None,
-        in_thread: bool = True,
+        self, config: Logged, clock: Clock, *, after_utc_s: float | None = None, in_thread: bool = True
     ) -> None:
         """Prepare; without `in_thread` files are read in the event loop, which a slow share would stop."""
         self.name = "displacements"

@@ -1,9 +1,7 @@
 """Follows growing files that another program writes, by looking from time to time. Blocking I/O, no asyncio.
 
-Files are opened for reading only and closed after every look, so that the logger can do with them what it
-likes, also over a network share. Lines are consumed up to the last newline. A file is new when it is
-smaller than what has been read of it, or when its first 256 bytes, or the last ones that were read, have
-changed.
+Files are closed after every look, and lines consumed up to the last newline. A file is new when it is smaller than what
+has been read of it, or when its first 256 bytes, or the last ones that were read, have changed.
 """
 
 import copy

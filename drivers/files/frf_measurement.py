@@ -32,10 +32,7 @@ class MeasurementFileError(FatalDriverError):
 
 
 def read_measurements(path: Path) -> list[Measurement]:
-    """Return the responses of a file: one of a CSV file, all those of a universal file.
-
-    Raises MeasurementFileError naming the file, and line or data set.
-    """
+    """Return the responses of a file: one of a CSV file, all those of a universal file."""
     if path.suffix.lower() in UNIVERSAL_ENDINGS:
         return _universal(path)
     return [_csv(path)]

@@ -36,10 +36,7 @@ class IndexedImpact:
 
 
 def read_index(folder: Path) -> tuple[IndexedImpact, ...]:
-    """Return the responses of a folder, sorted by time.
-
-    Raises ImpactIndexError naming file, line and column.
-    """
+    """Return the responses of a folder, sorted by time; raises ImpactIndexError naming file, line and column."""
     path = folder / INDEX_FILE
     try:
         text = read_whole(path).decode("utf-8-sig")

@@ -58,13 +58,7 @@ LARGEST = 1e9
 
 
 def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Recording:
-    """Read a recording as it is, without down-sampling.
-
-    Result: times count from the first row. Raises RecordingFileError naming file, line and column.
-
-    `path`: CSV file with one header row. `recording_map`: what the columns mean; None takes the usual names
-    (`config.recordings.recording_map.usual_map`).
-    """
+    """Read a recording as it is, times from the first row; None: usual names. Raises RecordingFileError."""
     place = Place(path)
     with opened(place, "utf-8" if recording_map is None else recording_map.encoding) as lines:
         header, delimiter = header_of(place, lines)
@@ -137,11 +131,7 @@ def _with_slopes(
 
 
 def write_recording(path: Path, metadata: Mapping[str, object], columns: Mapping[str, tuple[FloatArray, int]]) -> None:
-    """Write a recording in the form that `read_recording` reads, in one step; raises OSError.
-
-    `columns` are values and decimals by name, in order; what is not finite becomes an empty field. A
-    line break in the metadata becomes a space.
-    """
+    """Write a recording as `read_recording` reads it, in one step; `columns`: values and decimals. Raises OSError."""
     lines = [f"{METADATA_MARK} {key}: {' '.join(str(value).splitlines())}\n" for key, value in metadata.items()]
     lines.append(",".join(map(_quoted, columns)) + "\n")
     table = np.column_stack([values for values, _ in columns.values()])
@@ -234,10 +224,7 @@ def _require_seconds(place: Place, times: list[float], form: _Form) -> None:
 
 
 def _disorder(times: list[float], *, local: bool) -> str:
-    """Return what to do where the last of the times does not come after the one before.
-
-    `local`: they are times of day without a zone.
-    """
+    """Return what to do where the last of the times, perhaps of day and `local`, does not come after the others."""
     back_s = times[-2] - times[-1]
     if back_s == 0.0:
         return "the same time stands twice: take one of the two rows out, or write times with seconds"
@@ -314,9 +301,6 @@ def _advice(text: str, decimal: str | None) -> str:
 
 
 def _degc(values: npt.NDArray[np.float64], unit: str, *, rises: bool) -> npt.NDArray[np.float64]:
-    """Return recorded temperatures as degrees Celsius [degC], of the shape of `values`.
-
-    `unit`: `degC`, `degF` or `K`. `rises`: since the start, which have no zero of their own.
-    """
+    """Return recorded temperatures, or `rises` since the start, as degrees Celsius [degC]."""
     per_k, at_0_degc = {"degC": (1.0, 0.0), "degF": (1.8, 32.0), "K": (1.0, ZERO_CELSIUS_K)}[unit]
     return (values - (0.0 if rises else at_0_degc)) / per_k

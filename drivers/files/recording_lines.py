@@ -49,10 +49,7 @@ def read_header(path: Path) -> list[str]:
 
 
 def read_beginning(path: Path, rows: int, encoding: str = "utf-8") -> tuple[list[str], list[list[str]]]:
-    """Return the names of a recording's columns and the texts of its first rows, whatever they hold.
-
-    Raises `RecordingFileError`.
-    """
+    """Return the names of a recording's columns and the texts of its first rows; raises `RecordingFileError`."""
     place = Place(path)
     with opened(place, encoding) as lines:
         header, delimiter = header_of(place, lines)

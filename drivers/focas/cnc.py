@@ -1,9 +1,7 @@
-"""The CNC over FOCAS2/Ethernet, with no library of the vendor.
+"""The CNC over FOCAS2/Ethernet, with no library of the vendor; one object is one connection, used by one task.
 
-One object is one connection: a control offers five sessions in all, so there is one here, used by one task. The
-protocol numbers neither requests nor macro variables in its answers. So that no answer counts for another request,
-every read carries a tag of three blocks whose order changes from request to request, and the control's clock, which
-must not go back; a group of writes ends with such a read. What does not fit ends the connection.
+The protocol numbers neither requests nor macro variables in its answers. So every read carries a tag of three blocks
+whose order changes, and the control's clock, which must not go back; a group of writes ends with such a read.
 """
 
 import asyncio

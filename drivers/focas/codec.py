@@ -98,7 +98,6 @@ class FrameBuffer:
 
     @property
     def unfinished(self) -> bool:
-        """Whether a frame has begun and not ended."""
         return bool(self._bytes)
 
     def feed(self, data: bytes) -> Iterator[Frame]:
@@ -122,7 +121,6 @@ def encode_frame(frame: Frame, version: int = 1) -> bytes:
 
 
 def encode_asks(asks: Sequence[Ask], path: int = 1) -> bytes:
-    """Return the body of a request."""
     blocks = [_COUNT.pack(len(asks))]
     for ask in asks:
         first = (*ask.arguments, 0, 0, 0, 0)[:4]

@@ -147,7 +147,6 @@ class StateRequest:
             )
 
     def asks(self) -> list[Ask]:
-        """Return the blocks to send."""
         asks = [Ask(Function.STATUS), Ask(Function.PROGRAM_NUMBER), Ask(Function.SEQUENCE_NUMBER)]
         if "spindle_speed" not in self.cannot:
             asks.append(Ask(Function.SPINDLE_SPEED))

@@ -26,11 +26,9 @@ def block_check(
 ) -> float:
     """Return the check that fits what these macros hold; what is vacant counts as 0, as in a custom macro.
 
-    Every part is a whole number, and so is the sum: the sequence number, the enable bits, valid_until in tenths of a
-    second, and each value in nanometres times the place of its axis, counted from 1, with the pivot where it is a
-    slope. With the bounds that the configuration allows the sum stays below 1e8, so that a custom macro which computes
-    with eight digits makes it exactly. One foreign value changes the sum by its own change, and two values that are
-    exchanged change it too.
+    Every part is a whole number, and so is the sum: sequence number, enable bits, valid_until in tenths of a second,
+    each value in nanometres times the place of its axis, counted from 1, with the pivot where it is a slope. Within the
+    allowed bounds it stays below 1e8, which a custom macro of eight digits makes exactly.
     """
 
     def value(number: int) -> float:

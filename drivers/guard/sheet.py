@@ -236,11 +236,7 @@ def _checks(configuration: Configuration) -> Section:
     ]  # fmt: skip
     if guard.dialect == "fanuc":
         rows += _checks_of_places(configuration)
-    return Section(
-        title="Check on the control",
-        head=("what", "how", "seen"),
-        rows=tuple((*row, "") for row in rows),
-    )
+    return Section(title="Check on the control", head=("what", "how", "seen"), rows=tuple((*row, "") for row in rows))
 
 
 def _checks_of_places(configuration: Configuration) -> list[tuple[str, str]]:

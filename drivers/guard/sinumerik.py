@@ -59,10 +59,7 @@ def sinumerik_text(
     machine: str = "",
     cleared: Sequence[int] = (),
 ) -> str:
-    """Return the archive with all NC programs, each with its head; raises GuardTextError.
-
-    `cleared` are R parameters that power-on makes vacant, beside the guard's own.
-    """
+    """Return the archive with all NC programs; `cleared` are R parameters that power-on makes vacant as well."""
     programs = fanuc.GuardPrograms.of(macros, guard)
     rows = [
         _decimals(row | _datum(axes[name]))

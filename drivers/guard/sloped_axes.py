@@ -66,7 +66,6 @@ class SlopedAxis:
 
 
 def sloped_axes(configuration: Configuration) -> dict[str, SlopedAxis]:
-    """Return the axes that have a slope, by name."""
     compensation, cnc = configuration.compensation, configuration.cnc
     if not compensation.slopes:
         return {}

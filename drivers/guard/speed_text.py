@@ -117,7 +117,6 @@ def _numbered(tuning: SpindleSpeedConfig, fields: Mapping[str, str], template: s
 
 
 def _filled(tuning: SpindleSpeedConfig, fields: Mapping[str, str], template: str) -> list[str]:
-    """Return the lines of the text."""
     keep = tuning.keep_feed_per_tooth
     once: Rows = [{}]
     sections: dict[str, Rows] = {

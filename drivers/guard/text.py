@@ -321,7 +321,6 @@ def _stop(means: str, number: int) -> str:
 def filled_program(
     name: str, program: int, common: Mapping[str, str], rows: list[dict[str, str]], guard: GuardConfig
 ) -> str:
-    """Return one template with its numbers."""
     fields = {**common, "program": str(program)}
     sections: dict[str, Sequence[Mapping[str, str]]] = {
         **axis_sections(rows),

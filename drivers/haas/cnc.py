@@ -1,8 +1,7 @@
 """A Haas control over its machine data collection (MDC), as text over TCP.
 
-A control takes two connections and sends every answer to both, so an answer counts by the macro variable that it
-names. Nothing says to which write an acknowledgement belongs; a written value is accepted once it has been read back.
-The last query of every read is the control's clock, which never goes back: what was answered before it is whole.
+A control sends every answer to both of its connections, so an answer counts by the variable that it names. A written
+value is accepted once it has been read back. The last query of every read is the clock: what came before it is whole.
 """
 
 import asyncio

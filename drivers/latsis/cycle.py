@@ -71,7 +71,6 @@ class CycleAssembler:
 
     @property
     def frames(self) -> int:
-        """Count of the frames so far."""
         return self._frames
 
     @property

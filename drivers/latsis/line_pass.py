@@ -1,8 +1,7 @@
 """The frames of one pass over a LATSIS line, put in order, and whether their IDs still hold. No I/O, no clock.
 
-IDs descend from N to 1. A frame whose ID does not is out of place: either its ID was damaged on the way
-(then the pass goes on below, and the ID it shows is not believed in this pass at all), or the next pass
-has begun (then the following frame continues it). One frame more tells which.
+IDs descend from N to 1. A frame out of place either has a damaged ID (the pass goes on below, and that ID is not
+believed in it), or begins the next pass; the frame that follows tells which.
 """
 
 import math
@@ -29,7 +28,6 @@ class LinePass:
         self.displaced: dict[int, list[int]] = {}
         """Offsets of the frames that were out of place, by the ID they show."""
         self.announced = announced
-        """The first ID of the pass."""
         self.rejected_bytes = rejected_bytes
         """Bytes that were rejected between the previous pass and the first ID."""
         self.first_byte = first.first_byte
@@ -111,7 +109,6 @@ class Numbering:
     """What one pass says about the numbering of its line."""
 
     announced: int
-    """The first ID of the pass."""
     explained: bool
     """Bytes were rejected before it, enough to hold the frames that are missing above it."""
     below: frozenset[int] = frozenset()

@@ -9,8 +9,7 @@ from config.schema.temperatures import LineConfig, SensorConfig
 from drivers.clock import Clock
 from drivers.contract import LinkError
 from drivers.latsis.cycle import MIN_SILENCE_REAL_S, SILENCE_PERIODS, CycleAssembler
-from drivers.latsis.pacing import BITS_PER_BYTE
-from drivers.latsis.reader import LineReader, PortReader
+from drivers.latsis.reader import BITS_PER_BYTE, LineReader, PortReader
 from models.records import Instant, TemperatureCycle
 
 DEAD_LINE_PERIODS = 3.0
@@ -35,12 +34,7 @@ class LatsisSerialSource:
     """
 
     def __init__(
-        self,
-        line: LineConfig,
-        sensors: Sequence[SensorConfig],
-        clock: Clock,
-        *,
-        reader: LineReader | None = None,
+        self, line: LineConfig, sensors: Sequence[SensorConfig], clock: Clock, *, reader: LineReader | None = None
     ) -> None:
         """Prepare the source; `reader` brings the bytes, by default from the line's port."""
         self.name = line.name

@@ -64,9 +64,8 @@ class ChainValues:
 class ChainDecoder:
     """Decodes the frames of one line; keeps the last good value of each sensor for the reset rule.
 
-    A TMP102 reads exactly 000h from a reset of its node to its first conversion. Such a value is refused
-    (`Reason.RESET`) unless the sensor's previous good value was within 2 degC of 0 degC and the cycle
-    holds no burst of them. A sensor without a previous value is refused as well: its next other code counts.
+    A TMP102 reads exactly 000h from a reset of its node to its first conversion: refused (`Reason.RESET`) unless the
+    last good value was within 2 degC of 0 degC and the cycle holds no burst of them.
     """
 
     def __init__(self, line: LineConfig, sensors: Sequence[SensorConfig]) -> None:
@@ -98,7 +97,6 @@ class ChainDecoder:
         return {i: 4 if infrared else contact for i, infrared in zip(self.wire_ids, self._infrared, strict=True)}
 
     def name(self, wire_id: int) -> str:
-        """Return the sensor under an ID of the wire in words."""
         if self.lowest <= wire_id <= self.highest:
             return f"sensor {self.sensor_ids[wire_id - self.lowest]} (ID {wire_id:03X}h)"
         return f"no sensor of this line (ID {wire_id:03X}h)"

@@ -115,7 +115,6 @@ class Bridge:
 
 
 def answered(bridge: Bridge, request: dict[str, Any]) -> dict[str, Any]:
-    """Return the answer to a request."""
     if request["do"] == "read":
         return bridge.read(request["in"], request["out"])
     return bridge.write([(index, float(value)) for index, value in request["values"]])

@@ -1,8 +1,7 @@
 """LinuxCNC on this computer: status and analog pins by a bridge, a child process with LinuxCNC's own Python modules.
 
-LinuxCNC has no macro variables that another program may write while one runs. Analog inputs of its motion controller
-stand for those that the daemon writes, and a program reads them by M66; analog outputs, set by M68, stand for those of
-the NC program. The latter count once the guard has run since LinuxCNC's start: before that they are vacant here.
+Analog inputs of the motion controller stand for macro variables that the daemon writes (a program reads them by M66),
+outputs, set by M68, for those of the NC program; these are vacant until the guard has run since LinuxCNC's start.
 """
 
 import math
@@ -57,7 +56,6 @@ class LinuxcncCnc(LinkedCnc):
 
     @property
     def cannot(self) -> Mapping[str, str]:
-        """What LinuxCNC does not give, with the reason."""
         found = dict(CANNOT)
         if self._lacking:
             lacking = ", ".join(self._lacking)

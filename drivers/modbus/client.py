@@ -1,8 +1,7 @@
 """One connection to Modbus boxes, and one read at a time over it. What does not fit the read ends the connection.
 
-pymodbus brings bytes and frames. It does not look at the function or the length of an answer, takes an answer with
-transaction number 0 for any request, and on a serial line takes the late answer to a request that it gave up for the
-answer to the next. All of that is judged here, and after any time-out the connection is closed for good.
+pymodbus looks at neither function nor length of an answer, takes transaction number 0 for any request, and on a serial
+line a late answer for the next one: all of that is judged here.
 """
 
 import asyncio
@@ -181,11 +180,9 @@ class ModbusClient:
         )
 
     async def read(self, request: ModbusRequest) -> list[int]:
-        """Return the registers of a request.
+        """Return the registers of a request; raises RefusedRead when the box says no, EndedError, LinkError.
 
-        Raises RefusedRead when the box says no; LinkError when no answer came in time, or one that is not this read's:
-        then the connection must be closed, because what comes later on it belongs to nobody. EndedError when the box
-        has ended the connection since it last answered.
+        After a LinkError the connection must be closed, because what comes later on it belongs to nobody.
         """
         ask = self._client.read_holding_registers if request.table == "holding" else self._client.read_input_registers
         self._reading = True

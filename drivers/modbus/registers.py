@@ -9,10 +9,7 @@ _FORMATS = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float
 
 
 def number_of(registers: Sequence[int], sensor: ModbusRegister) -> float:
-    """Return the number that a sensor's registers hold; they come in the order of their addresses.
-
-    Raises ValueError where there are not as many as its type takes, or one is no 16-bit value.
-    """
+    """Return the number that a sensor's registers hold, in the order of their addresses; raises ValueError."""
     if len(registers) != sensor.width or not all(0 <= word <= 0xFFFF for word in registers):
         raise ValueError(f"{sensor.type} takes {sensor.width} registers of 16 bit, not {list(registers)}")
     words = registers if sensor.word_order == "big" else registers[::-1]

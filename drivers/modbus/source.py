@@ -77,7 +77,6 @@ class ModbusSource(PolledSource):
             readings[each.key] = number_of(registers[at : at + each.width], each)
 
     async def release(self) -> None:
-        """Close the connection."""
         client, self._client = self._client, None
         if client is not None:
             client.close()

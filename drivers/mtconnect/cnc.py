@@ -1,8 +1,7 @@
 """A control behind an MTConnect agent: its state is read, nothing is ever written.
 
-Each read asks for every observation since the last one, by the agent's sequence, so that no change between two reads
-is passed over. Where the agent has forgotten some of them, its present state is read anew; where it was started anew
-(another instance), the link is lost and built again.
+Each read asks for every observation since the last one, by the agent's sequence; where some are forgotten, for the
+present state; another instance of the agent is a lost link.
 """
 
 import asyncio
@@ -40,10 +39,7 @@ class HttpError(ValueError):
 
 
 async def fetch(host: str, port: int, target: str) -> tuple[int, bytes]:
-    """Return status and body of what lies at a target, whatever its status: an agent's errors are documents too.
-
-    Raises OSError, and HttpError for what is no answer. The caller bounds the time.
-    """
+    """Return status and body, whatever they are, of what lies at a target; raises OSError, HttpError."""
     reader, writer = await asyncio.open_connection(host, port)
     try:
         connection = h11.Connection(h11.CLIENT, max_incomplete_event_size=LONGEST_HEAD)

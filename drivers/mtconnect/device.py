@@ -264,7 +264,6 @@ class Device:
 
 
 def data_items(device: Element) -> Iterator[DataItem]:
-    """Yield the data items of a device, of itself first."""
     for item in device.below("DataItem"):
         found = item.attributes
         yield DataItem(

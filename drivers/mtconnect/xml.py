@@ -28,14 +28,12 @@ class Element:
     text: str = ""
 
     def below(self, name: str) -> Iterator[Self]:
-        """Yield every element of this name below this one, in the order of the document."""
         for child in self.children:
             if child.name == name:
                 yield child
             yield from child.below(name)
 
     def first(self, name: str) -> Self | None:
-        """Return the first element of this name below this one."""
         return next(self.below(name), None)
 
 

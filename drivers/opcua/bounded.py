@@ -1,7 +1,4 @@
-"""The library's client at a server that may send anything: chunks, messages and what is decoded have bounds.
-
-The library waits for a chunk of any length, joins chunks without end, and lets the server's hello raise its bounds.
-"""
+"""The library's client at a server that may send anything: chunks, messages and what is decoded have bounds."""
 
 import struct
 from typing import Any, Self
@@ -58,10 +55,7 @@ class Received(Buffer):
 
 
 def variant_of_received(data: Buffer) -> ua.Variant:
-    """Return a variant as the library does, but for the shape of an array, which nothing here asks for.
-
-    Raises NotEnoughData for an array of the null type, whose elements take no bytes.
-    """
+    """Return a variant as the library does, but for the shape of an array; raises NotEnoughData."""
     if not isinstance(data, Received):
         whole: ua.Variant = _variant_of_any(data)
         return whole

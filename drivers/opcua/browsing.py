@@ -92,7 +92,6 @@ async def children(session: TagSession, node: Node) -> list[ua.ReferenceDescript
 
 
 def _text(node_id: ua.NodeId) -> str:
-    """Return a node id without its namespace."""
     whole = str(node_id.to_string())
     return whole.partition(";")[2] if whole.startswith("ns=") else whole
 

@@ -1,8 +1,7 @@
-"""The CNC over OPC UA.
+"""The CNC over OPC UA: one object is one connection, without a task of its own.
 
-One object is one connection: it is built new for every attempt and closed fully. It keeps no task
-of its own; the secure channel is renewed between reads, and staleness is watched here because the
-library reports a frozen peer as connected.
+The secure channel is renewed between reads, and staleness is watched here: the library reports a frozen peer as
+connected.
 """
 
 import asyncio
@@ -146,11 +145,7 @@ class OpcUaCnc:
         return variables.macro_values(macros, answers)
 
     async def write_macros(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
-        """Write groups of (macro, value), each only after the previous one was accepted.
-
-        Raises FatalDriverError before anything is sent when the connection, a macro or a value must
-        not be written; LinkError on a lost link or when the server refuses a value.
-        """
+        """Write groups of (macro, value), each only after the previous one was accepted; raises as `Cnc` says."""
         refuse_forbidden(groups, self._config, self.security)
         services, variables = self._connected()
         await self._call("writing macro variables", self._write(services, variables, groups))

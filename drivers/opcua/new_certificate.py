@@ -3,11 +3,7 @@
 import os
 from pathlib import Path
 
-from asyncua.crypto.cert_gen import (
-    dump_private_key_as_pem,
-    generate_private_key,
-    generate_self_signed_app_certificate,
-)
+from asyncua.crypto.cert_gen import dump_private_key_as_pem, generate_private_key, generate_self_signed_app_certificate
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID
@@ -26,11 +22,7 @@ def create_application_certificate(
     days: int = DEFAULT_DAYS,
     server: bool = False,
 ) -> x509.Certificate:
-    """Make a key and a self-signed certificate for a client (or server) and write both to new files.
-
-    The key is written as PEM with mode 600, the certificate as DER when its name ends in .der, else
-    as PEM. Existing files are never overwritten (FatalDriverError).
-    """
+    """Make a key (PEM, mode 600) and a self-signed certificate (DER by its ending .der) in new files."""
     for path in (certificate, private_key):
         if path.exists():
             raise FatalDriverError(f"{path} exists already and is not overwritten; move it away first")

@@ -40,10 +40,7 @@ class FoundTag:
 
 
 async def analog_variables(session: TagSession) -> tuple[list[FoundTag], bool]:
-    """Return the numbers below the server's objects, and whether there are more; namespace 0 is the server's own.
-
-    Raises LinkError or FatalDriverError.
-    """
+    """Return the numbers below the server's objects, its own (namespace 0) left out, and whether there are more."""
     await session.connect()
     client = session.client
     waiting, seen, found = deque([client.nodes.objects]), {client.nodes.objects.nodeid}, list[FoundTag]()

@@ -3,7 +3,8 @@
 The library keeps the channel: socket, keys, tokens, sequence numbers. Only the body of these two requests is put
 together here, from bytes that the library's own encoder made once per request (OPC 10000-6, 5.2), and a plain answer
 is taken apart here; whatever is not plain (diagnostics, arrays, other types) goes to the library's decoder. Messages
-of one whole chunk are framed by `drivers.opcua.channel`.
+of one whole chunk are framed here too (6.7.2); parts of one, several at once, another token, a number out of turn, a
+signature that does not fit and an answer nobody waits for are left to the library untouched, which judges them.
 """
 
 import asyncio
@@ -16,13 +17,88 @@ from typing import Any, NamedTuple
 
 from asyncua import ua
 from asyncua.client.ua_client import UaClient
+from asyncua.crypto import uacrypto
 from asyncua.ua.attribute_ids import AttributeIds
 from asyncua.ua.object_ids import ObjectIds
 from asyncua.ua.ua_binary import nodeid_to_binary, struct_from_binary, struct_to_binary
 from asyncua.ua.uaerrors import UaError
 
 from drivers.opcua.bounded import Received
-from drivers.opcua.channel import Channel
+
+HEADER = struct.Struct("<4sIII")
+"""Type and that the chunk is the only one, size, number of the channel, number of its token."""
+SEQUENCE = struct.Struct("<II")
+"""Number in the channel's sequence, number of the request."""
+WHOLE_MESSAGE = b"MSGF"
+LIBRARY: Any = uacrypto
+"""Its InvalidSignature is a class of its own, which it hides from a type checker."""
+LAST_NUMBER = (1 << 32) - 1
+
+
+class Channel:
+    """Frames what is sent over the library's client, and takes what it receives."""
+
+    def __init__(self, protocol: Any) -> None:
+        """Take the library's `UASocketProtocol` with an open channel; from now on it receives through this."""
+        self._protocol = protocol
+        self._connection = protocol._connection
+        self._left_to_library = protocol.data_received
+        protocol.data_received = self.received
+
+    def framed(self, body: bytes, request: int) -> bytes:
+        connection = self._connection
+        crypto, token = connection.security_policy.symmetric_cryptography, connection.security_token
+        number = connection._sequence_number + 1
+        plain = SEQUENCE.pack(number & LAST_NUMBER, request) + body
+        plain += crypto.padding(len(plain))
+        signed = len(plain) + crypto.signature_size()
+        size = HEADER.size + signed // crypto.plain_block_size() * crypto.encrypted_block_size()
+        if size > connection._limits.max_send_buffer or number > LAST_NUMBER:
+            whole: bytes = connection.message_to_binary(body, request_id=request)
+            return whole
+        connection._sequence_number = number
+        header = HEADER.pack(WHOLE_MESSAGE, size, token.ChannelId, token.TokenId)
+        encrypted: bytes = crypto.encrypt(plain + crypto.signature(header + plain))
+        return header + encrypted
+
+    def received(self, data: bytes) -> None:
+        if self._protocol.receive_buffer or not self._taken(data):
+            self._left_to_library(data)
+
+    def _taken(self, data: bytes) -> bool:
+        """Hand the usual message to whom it answers; False, with nothing changed, when it is not a usual one."""
+        connection = self._connection
+        token, limits = connection.security_token, connection._limits
+        if len(data) <= HEADER.size or connection._incoming_parts or len(data) > limits.max_recv_buffer:
+            return False
+        if HEADER.unpack_from(data) != (WHOLE_MESSAGE, len(data), token.ChannelId, token.TokenId):
+            return False
+        crypto = connection.security_policy.symmetric_cryptography
+        try:
+            plain = _opened(crypto, data)
+        except (LIBRARY.InvalidSignature, ValueError):
+            return False
+        if len(plain) < SEQUENCE.size or 0 < limits.max_message_size < len(plain):
+            return False
+        number, request = SEQUENCE.unpack_from(plain)
+        answered = self._protocol._callbackmap.get(request)
+        if connection._peer_sequence_number != number - 1 or answered is None or answered.done():
+            return False
+        connection._peer_sequence_number = number
+        del self._protocol._callbackmap[request]
+        answered.set_result(Received(plain[SEQUENCE.size :]))
+        return True
+
+
+def _opened(crypto: Any, data: bytes) -> bytes:
+    """Return what a message holds, decrypted; raises InvalidSignature, or ValueError for a size no cipher has."""
+    crypto.use_prev_key = False
+    plain: bytes = crypto.decrypt(data[HEADER.size :])
+    if size := crypto.vsignature_size():
+        plain, signature = plain[:-size], plain[-size:]
+        crypto.verify(data[: HEADER.size] + plain, signature)
+    whole: bytes = crypto.remove_padding(plain)
+    return whole
 
 
 class Answer(NamedTuple):

@@ -178,7 +178,6 @@ class OpcUaTagSource(PolledSource):
 
 
 def reading_of(answer: ua.DataValue, node: str) -> float | NoReading:
-    """Return the number of a tag."""
     status = answer.StatusCode
     if status is not None and int(status.value) & NOT_MEASURED:
         if status.name in ("BadNodeIdUnknown", "BadNodeIdInvalid"):

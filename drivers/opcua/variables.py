@@ -38,12 +38,7 @@ LIMITS = (ua.NodeId(ua.Int32(11705)), ua.NodeId(ua.Int32(11707)))
 BUILT_IN = frozenset(range(1, STRING + 1))
 """Types of which it is known whether they hold a number (OPC 10000-6, 5.1.2)."""
 VACANT = frozenset(
-    {
-        StatusCodes.BadNoData,
-        StatusCodes.BadNoDataAvailable,
-        StatusCodes.BadDataUnavailable,
-        StatusCodes.GoodNoData,
-    }
+    {StatusCodes.BadNoData, StatusCodes.BadNoDataAvailable, StatusCodes.BadDataUnavailable, StatusCodes.GoodNoData}
 )
 UNKNOWN_NODE = frozenset({StatusCodes.BadNodeIdUnknown, StatusCodes.BadNodeIdInvalid})
 FORBIDDEN = frozenset({StatusCodes.BadUserAccessDenied, StatusCodes.BadNotReadable})
@@ -134,7 +129,6 @@ class Variables:
         return self._most < before
 
     def type_requests(self, macros: Sequence[int]) -> list[bytes]:
-        """Return the parameters that read the types of macro variables, by request."""
         return self._split([self._macro_node_id(number) for number in macros], AttributeIds.DataType)
 
     def _split(self, nodes: Sequence[ua.NodeId], attribute: AttributeIds = AttributeIds.Value) -> list[bytes]:
@@ -160,7 +154,6 @@ class Variables:
                 )
 
     def write_request(self, group: Sequence[tuple[int, float]]) -> tuple[Sequence[tuple[int, float]], bytes]:
-        """Return as much of a group as goes into one request, and the parameters that write it."""
         part = group[: self._most]
         targets = ((*self.targets[number], value) for number, value in part)
         return part, encode_write([(target, encode_number(value, kind)[0]) for target, kind, value in targets])
@@ -194,7 +187,6 @@ class Variables:
         )
 
     def macro_values(self, macros: Sequence[int], answers: Sequence[Answer]) -> dict[int, float | None]:
-        """Return macro variables by number, None where vacant."""
         _require_all(answers, macros)
         return {number: self._macro_value(number, answer) for number, answer in zip(macros, answers, strict=True)}
 

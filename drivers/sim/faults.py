@@ -126,7 +126,6 @@ class Fault:
 
 
 def of_kind(faults: Iterable[Fault], *kinds: FaultKind) -> tuple[Fault, ...]:
-    """Return the faults of some kinds, by their beginning."""
     return tuple(sorted((fault for fault in faults if fault.kind in kinds), key=lambda fault: fault.at_s))
 
 

@@ -40,12 +40,7 @@ class ModalSample:
 
 
 class ModalRegression:
-    """Modes as functions of temperatures.
-
-    Raises StabilityError with too few tests, other modes from test to test, or a mode without a positive gain.
-
-    `samples`: impact tests, more than there are variables (1 + 3 m).
-    """
+    """Modes as functions of temperatures, fitted on more impact tests than variables; raises StabilityError."""
 
     def __init__(self, samples: Sequence[ModalSample]) -> None:
         first = samples[0] if samples else None
@@ -92,10 +87,7 @@ def _variables(degc: FloatArray, difference_k: FloatArray) -> FloatArray:
 
 
 class SignalHistory:
-    """Means of labelled sensors over the last minute, and their change over the interval.
-
-    `labels`: signal -> indices into the machine's sensor order, whose mean it is.
-    """
+    """Means of labelled sensors over the last minute, and their change; `labels`: signal -> indices of sensors."""
 
     def __init__(self, labels: Mapping[str, Sequence[int]]) -> None:
         self._indices = [np.array(each, dtype=np.intp) for each in labels.values()]
@@ -121,11 +113,7 @@ class SignalHistory:
 
 
 class ModalEstimator:
-    """Tool point from temperatures, reading by reading (`ToolPointEstimator`).
-
-    `regression`: fitted on the machine's own impact tests. `labels`: signal -> indices into the machine's sensor order,
-    in the order of the regression.
-    """
+    """Tool point from temperatures, reading by reading (`ToolPointEstimator`); `labels` in the regression's order."""
 
     def __init__(self, regression: ModalRegression, labels: Mapping[str, Sequence[int]]) -> None:
         self._regression = regression

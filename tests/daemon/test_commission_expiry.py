@@ -12,7 +12,7 @@ from drivers.sim.nc.safe_point import simulated_guard
 async def test_a_guard_that_zeroes_an_expired_block_is_no_stranger(tmp_path, monkeypatch):
     """The link is lost with more applied than one step; the block expires, and the guard takes it out meanwhile."""
     async with serving(tmp_path) as bench:
-        monkeypatch.setattr("daemon.commissioning.leaving.RECONNECTS", 1000)
+        monkeypatch.setattr("daemon.commissioning.movement.RECONNECTS", 1000)
         zeroing = simulated_guard(bench.configuration().compensation.axes).model_copy(update={"on_expiry": "zero"})
         bench.reset(guard=zeroing)
         person, cuts, applied = Person(bench), [], bench.machine.guard.applied_um

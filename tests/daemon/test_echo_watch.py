@@ -3,7 +3,7 @@
 import numpy as np
 
 from daemon.cnc.macro_block import Echo
-from daemon.compensation.applied_tracker import EchoWatch
+from daemon.compensation.block_writer import EchoWatch
 from daemon.telemetry.metrics import Telemetry
 from models.records import CompensationCommand, Instant, OutputState, Trace
 

@@ -33,8 +33,7 @@ from daemon.sinks.ahead import Ahead
 from daemon.sinks.broker import Broker, Message
 from daemon.sinks.contract import Progress, SinkError
 from daemon.sinks.current import current_values
-from daemon.sinks.discovery import BY_NAME
-from daemon.sinks.mqtt import MqttSink
+from daemon.sinks.mqtt import BY_NAME, MqttSink
 from daemon.sinks.outbox import STREAMS, Outbox
 from daemon.sinks.row_messages import JSON_COLUMNS
 from daemon.sinks.running import SinkRunner

@@ -23,8 +23,7 @@ from daemon.history.cursors import Cursor, cursor_path
 from daemon.sinks.outbox import STREAMS, Outbox
 from daemon.sinks.running import SinkRunner
 from daemon.sinks.sparkplug import SparkplugSink
-from daemon.sinks.sparkplug_metrics import row_metrics
-from daemon.sinks.sparkplug_payload import PAYLOAD, DataType, Metric, asks_for_rebirth, encode
+from daemon.sinks.sparkplug_metrics import PAYLOAD, DataType, Metric, asks_for_rebirth, encode, row_metrics
 
 REBIRTH = "Node Control/Rebirth"
 

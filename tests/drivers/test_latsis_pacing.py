@@ -4,7 +4,7 @@ import pytest
 
 from config.schema.temperatures import LineConfig, SensorConfig
 from drivers.latsis.cycle import CycleAssembler
-from drivers.latsis.pacing import ReadPacer
+from drivers.latsis.reader import ReadPacer
 from models.records import Instant
 
 COUNT = 130

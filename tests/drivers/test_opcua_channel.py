@@ -17,7 +17,7 @@ from asyncua.crypto.security_policies import (
     VerifierHMac256,
 )
 
-from drivers.opcua.channel import Channel
+from drivers.opcua.services import Channel
 
 BODY = b"what is asked or answered" * 3
 REQUEST = 7

@@ -6,11 +6,11 @@ import pytest
 from config.schema.temperatures import SensorConfig
 from drivers.sim.machine.heat import INDEX
 from drivers.sim.machine.parameters import NODES
-from drivers.sim.machine.sensor_places import sensor_shares
 from drivers.sim.machine.sensors import (
     CONTACT_LAG_S,
     OFFSET_LIMIT_K,
     SensorArray,
+    sensor_shares,
 )
 
 SENSORS = [

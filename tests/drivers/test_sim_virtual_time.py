@@ -5,7 +5,7 @@ import time
 from collections.abc import Coroutine
 from typing import Any
 
-from daemon.simulation.faults.virtual_time import VirtualClock, VirtualLoop
+from daemon.simulation.faults.virtual_world import VirtualClock, VirtualLoop
 
 
 class EmptyWorld:

@@ -30,7 +30,7 @@ from source_contract import (
 )
 
 from config.schema.base import drivers_of
-from config.schema.displacement_sources import DisplacementSourceConfig, ModbusChannelConfig
+from config.schema.displacements import DisplacementSourceConfig, ModbusChannelConfig
 from config.schema.modbus import ModbusRegister, ModbusSensorConfig
 from config.schema.source_drivers import SourceConfig, SourceEntry
 from daemon.simulation.processes import free_port

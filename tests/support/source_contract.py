@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from left_behind import leaves_nothing_behind
 
-from config.schema.displacement_sources import DisplacementSourceConfig
+from config.schema.displacements import DisplacementSourceConfig
 from config.schema.source_drivers import SourceConfig, SourceEntry
 from drivers.contract import LinkError
 from drivers.displacement.of_sources import SourceDisplacements

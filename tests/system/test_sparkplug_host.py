@@ -26,8 +26,7 @@ from daemon.history import HistoryWriter
 from daemon.sinks import current
 from daemon.sinks.outbox import STREAMS, Outbox
 from daemon.sinks.running import SinkRunner
-from daemon.sinks.sparkplug_metrics import row_metrics
-from daemon.sinks.sparkplug_payload import DataType, Metric, encode
+from daemon.sinks.sparkplug_metrics import DataType, Metric, encode, row_metrics
 
 PEER = Path(__file__).resolve().parent / "sparkplug_peer"
 PATIENCE_S = 60.0

@@ -1,8 +1,4 @@
-"""Lossless compression of single columns: delta, zigzag, byte split, zlib.
-
-Every encoded column is self-contained bytes; its number of rows is stored beside it. Arithmetic
-on int64 wraps, so that any column survives the round trip.
-"""
+"""Lossless compression of single columns: delta, zigzag, byte split, zlib; int64 wraps, so that any column survives."""
 
 import zlib
 

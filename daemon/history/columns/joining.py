@@ -82,7 +82,6 @@ def merge_cycles(
 
 
 def reference_from_row(row: tuple[Any, ...]) -> Reference:
-    """Return a row of reference_points as a record."""
     reference_id, monotonic_s, utc_s, real_s, source, degc, program, work_offset, power_on_count = row
     return Reference(
         reference_id=reference_id,

@@ -113,7 +113,6 @@ class PackedHour:
 
 
 def table_of(kind: str) -> tuple[str, str]:
-    """Return a kind's table and its id column."""
     if kind == TEMPERATURES:
         return CYCLES.table, "id"
     return KINDS[kind].table, id_column(KINDS[kind])

@@ -1,8 +1,7 @@
 """Chunks of temperatures: one hour of one line, in groups of sensors that are unpacked singly.
 
-Within a group each sensor's series is coded as steps of its own resolution, either as differences
-to the previous value or as differences to the mean of a short block, whichever is smaller: sensor
-noise of one step costs less around a mean, slow drift without noise costs nothing as differences.
+Each sensor's series is coded as steps of its own resolution, as differences to the previous value or to the mean of a
+short block, whichever is smaller: noise of one step costs less around a mean, slow drift as differences.
 """
 
 from collections.abc import Sequence

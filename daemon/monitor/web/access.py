@@ -38,7 +38,6 @@ class Person:
 
     @property
     def in_audit(self) -> str:
-        """The person as the audit names them."""
         return f"{self.name} ({self.role}, monitor, {self.address})"
 
 
@@ -71,7 +70,6 @@ class Access:
 
     @property
     def cookie(self) -> str:
-        """Name of the session's cookie."""
         return "__Host-toolpoint" if self.secure else "toolpoint"
 
     async def login(self, name: str, password: str, address: str) -> tuple[str, Person]:
@@ -120,7 +118,6 @@ class Access:
         return accounts
 
     def logout(self, request: Request) -> None:
-        """End the session of a request."""
         session = self._sessions.pop(_digest(request.cookies.get(self.cookie, "")), None)
         if session is not None:
             self.report("access", "logged out of the monitor", f"{session.name} (monitor, {address_of(request)})")
@@ -203,7 +200,6 @@ def is_local_name(name: str) -> bool:
 
 
 def access_of(request: Request) -> Access:
-    """Return the access of the application that serves a request."""
     found = request.app.state.access
     assert isinstance(found, Access)
     return found

@@ -101,7 +101,6 @@ def _models(reader: HistoryReader, from_s: float, to_s: float) -> Callable[[Writ
 
 
 def write_document(write: WriteRecord) -> dict[str, Any]:
-    """Return one entry of the audit."""
     return plain(
         {
             "id": write.write_id,

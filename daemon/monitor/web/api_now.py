@@ -38,26 +38,18 @@ def dynamics_document(board: SnapshotBoard, clock: Clock) -> dict[str, Any] | No
     if diagram is not None:
         shift_s = now.utc_ahead_s
         document["lobes"] = {"speed_rpm": diagram.speed_rpm, "limiting_depth_mm": diagram.limiting_depth_mm}
-        document["response"] = {
-            "frequency_hz": diagram.frequency_hz,
-            "magnitude_um_per_n": diagram.receptance_um_per_n,
-        }
-        document["resonance"] = {
-            "t": [shift_s + each for each in diagram.resonance_time_s],
-            "hz": diagram.resonance_hz,
-        }
+        document["response"] = {"frequency_hz": diagram.frequency_hz, "magnitude_um_per_n": diagram.receptance_um_per_n}
+        document["resonance"] = {"t": [shift_s + each for each in diagram.resonance_time_s], "hz": diagram.resonance_hz}
     return plain(document)
 
 
 def documents_of(request: Request) -> Documents:
-    """Return the documents of the application that serves a request."""
     found = request.app.state.documents
     assert isinstance(found, Documents)
     return found
 
 
 def who(access: Access, person: Person | None) -> dict[str, Any]:
-    """Return who is logged in as a document."""
     return {
         "name": (person.name or None) if person is not None else None,
         "role": person.role if person is not None else None,

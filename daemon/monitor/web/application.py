@@ -94,14 +94,12 @@ def monitor_application(parts: MonitorParts, names: Callable[[], Collection[str]
 
 
 def routed(app: FastAPI) -> FastAPI:
-    """Add the routes of the API."""
     for part in API:
         app.include_router(part.router, prefix=PREFIX, responses=PROBLEMS, dependencies=[Depends(_only_known)])
     return app
 
 
 def _methods() -> dict[str, str]:
-    """Return the methods that each path of the API takes."""
     taken: dict[str, set[str]] = {}
     for part in API:
         for route in part.router.routes:

@@ -20,7 +20,6 @@ from models.records import OutputState
 
 VERSION = version("toolpoint")
 COLUMNS = 40
-"""Columns of a distribution."""
 STATES = {state: number for number, state in enumerate(OutputState)}
 """Each state of the output as a number, for charts and metrics."""
 
@@ -28,19 +27,12 @@ STATES = {state: number for number, state in enumerate(OutputState)}
 class Documents:
     """Makes the documents; holds no task."""
 
-    def __init__(
-        self,
-        configuration: Configuration,
-        clock: Clock,
-        board: SnapshotBoard,
-        telemetry: Telemetry,
-    ) -> None:
+    def __init__(self, configuration: Configuration, clock: Clock, board: SnapshotBoard, telemetry: Telemetry) -> None:
         self._configuration, self._clock, self._board, self._telemetry = configuration, clock, board, telemetry
 
     # --- the state of everything --------------------------------------------------------
 
     def status(self) -> dict[str, Any]:
-        """Return what the overview shows."""
         control, now = self._board.control, self._clock.now()
         since_s = control.since_monotonic_s
         document = {

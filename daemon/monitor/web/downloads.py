@@ -13,7 +13,6 @@ from starlette.types import Receive, Scope, Send
 from daemon.monitor.web.problems import ProblemError
 
 EXPORTER = (sys.executable, "-P", "-m", "daemon.model_release.exporting")
-"""Starts the process that makes a file."""
 MOST_DOWNLOADS = 2
 """So many are made at a time."""
 PIECE = 65536
@@ -36,10 +35,7 @@ class Downloads:
         process: asyncio.subprocess.Process | None = None
         try:
             process = await asyncio.create_subprocess_exec(
-                *EXPORTER,
-                stdin=asyncio.subprocess.PIPE,
-                stdout=asyncio.subprocess.PIPE,
-                stderr=asyncio.subprocess.PIPE,
+                *EXPORTER, stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
             )
             assert process.stdin is not None
             assert process.stdout is not None
@@ -60,7 +56,6 @@ class Downloads:
         return _Download(self, process, first, headers, media_type)
 
     async def _end(self, process: asyncio.subprocess.Process | None) -> None:
-        """End the process, and give its place to the next."""
         self._under_way -= 1
         if process is not None:
             with contextlib.suppress(ProcessLookupError):
@@ -112,6 +107,5 @@ class _Download(Response):
 
 
 async def _gone(receive: Receive) -> None:
-    """Return when the connection is gone."""
     while (await receive())["type"] != "http.disconnect":
         pass

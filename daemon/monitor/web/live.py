@@ -23,7 +23,6 @@ RETRY_MS = 2000
 
 
 def event(name: str, document: Any) -> bytes:
-    """Return one server-sent event."""
     return f"event: {name}\ndata: {json.dumps(document, allow_nan=False, separators=(',', ':'))}\n\n".encode()
 
 
@@ -136,6 +135,5 @@ class EventStream:
 
 
 async def _gone(receive: Receive) -> None:
-    """Return when the connection is gone."""
     while (await receive())["type"] != "http.disconnect":
         pass

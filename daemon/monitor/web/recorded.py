@@ -53,7 +53,6 @@ class Recorded:
         self._pools, self.beside = (self._queries.pool, others.pool), others.run
 
     def close(self) -> None:
-        """Take no more queries."""
         for pool in self._pools:
             pool.shutdown(wait=False, cancel_futures=True)
 

@@ -119,10 +119,7 @@ class Campaign:
         self._models.repair()
         seed = f"daemon {self._seed} {self.result.lives}"
         self._process = DaemonProcess(
-            self._config_path,
-            epoch_utc_s=EPOCH_UTC_S,
-            seed=seed,
-            log_path=self._directory / "daemon.log",
+            self._config_path, epoch_utc_s=EPOCH_UTC_S, seed=seed, log_path=self._directory / "daemon.log"
         )
         self._memory.restarted(self._world.time_s)
         self._seen.restarted(self._world.time_s)

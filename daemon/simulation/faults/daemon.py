@@ -31,8 +31,7 @@ from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import load_released
 from daemon.registry import Parts
 from daemon.simulation.faults.virtual_cnc import VirtualCnc
-from daemon.simulation.faults.virtual_time import VirtualClock, VirtualLoop
-from daemon.simulation.faults.virtual_world import Channel, VirtualReader, VirtualWorld
+from daemon.simulation.faults.virtual_world import Channel, VirtualClock, VirtualLoop, VirtualReader, VirtualWorld
 from daemon.telemetry.logs import configure_logging
 from daemon.telemetry.metrics import give_memory_back
 from drivers.clock import Clock

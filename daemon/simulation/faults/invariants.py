@@ -1,8 +1,6 @@
-"""Checks from the machine's side what must hold of a daemon whatever happens.
+"""Checks from the machine's side what must hold of a daemon whatever happens, by arithmetic of its own.
 
-Every check has its own arithmetic: nothing here is taken from the control law or the session. The
-daemon's claims (its state, the axes it believes are switched on) are used only where the sentence
-that is checked speaks of them, as in "nothing is written in FAULT".
+The daemon's claims are used only where the sentence speaks of them, as in "nothing is written in FAULT".
 """
 
 import math
@@ -69,7 +67,6 @@ class Claims:
     estimated: bool = True
     """Every axis that is switched on has an estimate."""
     model: str | None = None
-    """Identity of the model that made the estimate."""
     doubtful: bool = False
     """The model says that something stands against following it."""
     harmful: bool = False
@@ -188,7 +185,6 @@ class WriteWatch:
             self._marks[name] = time_s
 
     def heard(self, time_s: float, claims: Claims | None) -> None:
-        """Take what the daemon says of itself."""
         if claims is None:
             return
         if claims.reference != self._reference:
@@ -259,10 +255,7 @@ class WriteWatch:
             self._written[axis] = (time_s, um)
 
     def _unsteppy(self, time_s: float, axis: str, last_s: float, distances_um: tuple[float, float], where: str) -> None:
-        """After a reference and a restart the command begins at the tool; after switching, where it was or there.
-
-        As long as the echo is vacant the tool's position is unknown, and the command stays where it was.
-        """
+        """After a reference and a restart the command begins at the tool; after switching, where it was or there."""
         per_s = self._axes[axis].slew_um_per_min / 60.0
         nearest_um, from_tool_um = distances_um
         for mark, since_s in self._marks.items():

@@ -53,14 +53,12 @@ class CampaignModels:
 
     @property
     def model_id(self) -> str:
-        """Identity of the model that was put there last."""
         return self._ids[self.current]
 
     def loaded(self) -> dict[str, ThermalModel]:
         return {self._ids[name]: model_from_json(text, self.path.name) for name, text in self._texts.items()}
 
     def is_watching(self, model_id: str | None) -> bool:
-        """Tell whether this is the model that watches its sensors."""
         return model_id is not None and model_id == self._ids.get(WATCHING)
 
     def limit_k(self, sensor_id: int) -> float:
@@ -68,7 +66,6 @@ class CampaignModels:
         return self._limits_k[sensor_id]
 
     def exchange(self) -> None:
-        """Release the next model."""
         self._turn = (self._turn + 1) % len(IN_TURN)
         self.current, self.damaged = IN_TURN[self._turn], False
         write_whole(self.path, self._texts[self.current])
@@ -85,7 +82,6 @@ class CampaignModels:
             self.repair()
 
     def repair(self) -> None:
-        """Make the file whole again."""
         if self.damaged:
             self.damaged = False
             write_whole(self.path, self._texts[self.current])
@@ -100,11 +96,7 @@ class CampaignModels:
         self._limits_k = dict(zip(watching.sensor_ids, watching.watch.threshold_k.tolist(), strict=True))
         shipped: Any = model_from_json(self._texts[SHIPPED], self.path.name)
         renamed = replace(shipped, model_id=f"{shipped.model_id}-again")
-        for name, model in (
-            (SMALL, small),
-            (WATCHING, watching),
-            (RENAMED, renamed),
-        ):
+        for name, model in ((SMALL, small), (WATCHING, watching), (RENAMED, renamed)):
             self._texts[name], self._ids[name] = model.to_json(), model.model_id
 
 

@@ -5,17 +5,17 @@ from collections.abc import Callable, Sequence
 from config.schema import Configuration
 from daemon.simulation.faults.invariants import Claims, WriteWatch
 from daemon.simulation.faults.models import CampaignModels
-from daemon.simulation.faults.operations_check import HeartbeatWatch, OperationsWatch, Request
-from daemon.simulation.faults.recovery import GoodInput, RecoveryWatch
+from daemon.simulation.faults.operations_check import QUIET, HeartbeatWatch, OperationsWatch, Request
+from daemon.simulation.faults.recovery import CutFreeze, GoodInput, RecoveryWatch, Truth
 from daemon.simulation.faults.result import Result
 from daemon.simulation.faults.script import EPOCH_UTC_S, Happening, Incident
-from daemon.simulation.faults.truth import TruthKeeper
 from daemon.simulation.faults.truth_watch import TruthWatch
 from daemon.simulation.faults.twin import Twin
 from daemon.simulation.faults.world import CampaignWorld
 from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
-from drivers.sim.nc.program import campaign_program
+from drivers.sim.nc.nc import RunCode
+from drivers.sim.nc.program import RETREAT, campaign_program
 
 NAMES = (
     *WriteWatch.NAMES,
@@ -36,6 +36,112 @@ NAMES = (
 KEPT_BLOCKS = 100_000
 TWIN_S = 10.0
 """The twin reads the sensors this often: as often as they convert [s]."""
+
+
+TEMPERATURES_LATE_S = 25.0
+"""Temperatures arrive when a line has sent a whole cycle within this time [s]."""
+BLIND_BEFORE_S = 120.0
+"""A reference is the mean of its last minute, and a line that sent nothing counts again half a minute later [s]."""
+FADED_AFTER_S = 300.0
+"""The step of a line's return has faded [s]."""
+ZERO_UM = 1e-6
+
+
+class TruthKeeper:
+    """Sees what is on the wires and in the NC, where the daemon has only what it receives."""
+
+    def __init__(
+        self, configuration: Configuration, world: CampaignWorld, operations: OperationsWatch, models: CampaignModels
+    ) -> None:
+        output = configuration.compensation.output
+        self._macros = configuration.cnc.macros
+        self._safe, self._least = frozenset(output.safe_sequence_numbers), output.min_confidence
+        self._freeze = CutFreeze(output.full_confidence)
+        self._frozen = False
+        self._world = world
+        self._operations = operations
+        self._models = models
+        self._heard_s = -1e9
+        self._disturbed_s = -1e9
+        self._reference: str | None = None
+        self._reference_s = 0.0
+        self._sensor_wrong_s = -1e9
+        self._blind = self._doubted = False
+        self._followed = True
+        self._tool, self._tool_blind = world.machine.nc.tool_number, False
+
+    def cycle(self, time_s: float, *, whole: bool, heard: bool) -> None:
+        if heard:
+            self._heard_s = time_s
+        if not whole:
+            self._disturbed_s = time_s
+
+    def heard(self, time_s: float, claims: Claims) -> None:
+        """Take what the daemon says: was a line away when its reference was set, has confidence fallen in a cut?
+
+        A tool that comes while a line is away may have no temperature of then; tools that were set before are in doubt
+        when the work is positioned while the estimate is not followed, or a line has only just returned.
+        """
+        nc = self._world.machine.nc
+        if nc.tool_number != self._tool:
+            self._tool, self._tool_blind = nc.tool_number, time_s - self._disturbed_s <= TEMPERATURES_LATE_S
+        cutting = nc.run == RunCode.START and nc.sequence_number not in self._safe
+        self._frozen = self._freeze.look(claims, self._least, cutting=cutting)
+        if claims.reference != self._reference:
+            self._reference, self._reference_s = claims.reference, time_s
+            self._blind = time_s - self._disturbed_s <= BLIND_BEFORE_S
+            self._doubted |= not self._followed or time_s - self._disturbed_s <= FADED_AFTER_S
+            self._tool_blind = False
+        self._followed = claims.confidence >= self._least and claims.in_domain
+
+    def begun(self, happening: Happening) -> None:
+        if happening.kind in QUIET:
+            self._sensor_wrong_s = max(self._sensor_wrong_s, happening.end_s + BLIND_BEFORE_S)
+
+    def temperatures(self, time_s: float) -> bool:
+        return time_s - self._heard_s <= TEMPERATURES_LATE_S
+
+    @property
+    def at_retreat_block(self) -> bool:
+        """The part program waits at its retreat block."""
+        nc = self._world.machine.nc
+        return (nc.program, nc.sequence_number, nc.run) == (
+            self._world.machine.body.program.number,
+            RETREAT,
+            RunCode.START,
+        )
+
+    @property
+    def applied_um(self) -> float:
+        """The largest amount that the NC applies on an axis [um]."""
+        return max(map(abs, self._world.machine.guard.applied_um.values()), default=0.0)
+
+    @property
+    def echo_known(self) -> bool:
+        """The guard's echo of every axis can be read."""
+        return None not in self._echoes()
+
+    def _echoes(self) -> list[float | None]:
+        table = self._world.machine.nc.macros
+        return [table.get(number) for number in self._macros.echo_applied.values()]
+
+    def at(self, time_s: float, claims: Claims) -> Truth:
+        unit_um = self._macros.unit_um
+        known = [value for value in self._echoes() if value is not None]
+        return Truth(
+            reachable=self._world.cnc.reachable,
+            temperatures=self.temperatures(time_s),
+            distrust=bool(self._world.cnc.proof),
+            echo_known=self.echo_known,
+            at_zero=self.echo_known and all(abs(value) * unit_um <= ZERO_UM for value in known),
+            zero_first=self._operations.retreating,
+            reference_blind=self._blind or self._tool_blind,
+            sensor_was_wrong=self._sensor_wrong_s >= self._reference_s,
+            measured_unsurely=self._sensor_wrong_s > 0.0 or self._doubted,
+            tool_unnamed=self._operations.tool_unnamed,
+            frozen_in_cut=self._frozen,
+            model_has_states=any(map(self._models.is_watching, (claims.model, self._models.model_id))),
+        )
 
 
 class Observer:
@@ -114,7 +220,6 @@ class Observer:
     # --- what the machine sees --------------------------------------------------------------
 
     def cycle(self, time_s: float, line: str, *, whole: bool, heard: bool) -> None:
-        """Take the end of a pass."""
         self._result.cycles += 1
         self._truth.cycle(time_s, whole=whole, heard=heard)
         if whole:
@@ -153,7 +258,6 @@ class Observer:
             self._case_kinds = set()
 
     def polled(self, time_s: float) -> None:
-        """Take an answered poll of the CNC."""
         self.operations.polled(time_s, retreat_block=self._truth.at_retreat_block)
         self._good_input.cnc()
         self._note_good_input(time_s)

@@ -84,7 +84,6 @@ class OperationsWatch:
         """No handshake proves that no positioning was missed."""
         self._model_due: tuple[str, float] | None = None
         self.zero_first = False
-        """The policy in force."""
         self.retreating = False
         """The daemon has seen the retreat block and has set no reference since."""
         self.probes: list[Probe] = []
@@ -195,10 +194,9 @@ class OperationsWatch:
         self._model_due = None
 
     def wrong_sensor(self, time_s: float, happening: Happening, claims: Claims, limit_k: float) -> None:
-        """Check that a sensor which has long been wrong does not count for the model that watches its sensors.
+        """Check that a sensor which has long been wrong, by more than `limit_k`, does not count for the watching model.
 
-        Every reference lets it count again, from what it then says. `limit_k`: a departure of this sensor up to which
-        the model's file does not take for a fault [K]; of the spindle's nose, which the others hardly tell, it is 4 K.
+        Every reference lets it count again, from what it then says.
         """
         began_s = max(happening.at_s, self._reference_s)
         off_k = abs(happening.amount) * (time_s - began_s) / 3600.0

@@ -102,7 +102,6 @@ class Person:
         return False
 
     def _listen(self) -> None:
-        """Take the answers that have come."""
         if self._socket is None:
             return
         try:

@@ -26,7 +26,6 @@ NUMBER_BITS = 20
 
 
 def cycle_key(number: int, utc_ms: int) -> int:
-    """Return one integer for a line's cycle."""
     return utc_ms << NUMBER_BITS | number
 
 
@@ -70,11 +69,9 @@ class DaemonProcess:
         resource.prlimit(self.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
 
     def reload_model(self) -> None:
-        """Send SIGHUP."""
         self._process.send_signal(signal.SIGHUP)
 
     def ask_to_stop(self) -> None:
-        """Send SIGTERM."""
         self._process.send_signal(signal.SIGTERM)
 
     def kill(self) -> None:
@@ -140,7 +137,6 @@ class Acknowledgements:
         self.keys: dict[str, array[int]] = {}
 
     def take(self, process: DaemonProcess) -> None:
-        """Take what a process has reported."""
         for line, key in process.acknowledged():
             self.keys.setdefault(line, array("q")).append(key)
 
@@ -171,7 +167,6 @@ class KillPlan:
         self.due = self._after_groups = None
 
     def before(self, group: tuple[tuple[int, float], ...]) -> bool:
-        """Return whether the daemon is to be killed before this group."""
         if self._after_groups is None:
             return False
         left, happening = self._after_groups
@@ -197,7 +192,6 @@ class MemoryWatch:
         """The most that it has grown in one life [MiB]."""
 
     def restarted(self, time_s: float) -> None:
-        """A life begins."""
         self._began_s = self._next_s = time_s
         self._at_start_mib = None
 

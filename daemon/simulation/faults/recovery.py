@@ -1,8 +1,7 @@
 """Checks whether the output returns to the state that the table gives, and how soon.
 
-After every incident the situation is worked out from what the machine's side knows to be true, and the
-specification's table of states (`state_oracle`, not the product's own) is followed from the state that the
-daemon then claimed. That is where it must be within some seconds of the first good input.
+After every incident the situation is worked out from the machine's side, and the specification's table (`state_oracle`)
+is followed from the state that the daemon then claimed.
 """
 
 from collections.abc import Sequence
@@ -34,7 +33,6 @@ class Truth:
     """The daemon has been shown something that it must not trust, and no person has acknowledged since."""
     echo_known: bool
     at_zero: bool
-    """The NC applies nothing."""
     zero_first: bool = False
     """The NC program has passed its retreat block and not been positioned since, under that policy."""
     reference_blind: bool = False
@@ -53,10 +51,7 @@ class Truth:
 
 
 class CutFreeze:
-    """Tells when falling confidence must freeze an output: within a cut the estimate's weight does not change.
-
-    `full_confidence`: from there on the estimate counts whole.
-    """
+    """Tells when confidence that falls below `full_confidence` must freeze an output: within a cut."""
 
     def __init__(self, full_confidence: float) -> None:
         self._full = full_confidence
@@ -122,11 +117,9 @@ class GoodInput:
 
     @property
     def there(self) -> bool:
-        """All of it has arrived."""
         return not (self._cycles or self._any_line or self._cnc)
 
     def after(self, happening: Happening) -> None:
-        """An incident is over."""
         kind = happening.kind
         if happening.target in self._lines:
             believed = self._release_after_samples if happening.duration_s > self._stale_after_s else 1
@@ -151,7 +144,6 @@ class GoodInput:
                 del self._cycles[line]
 
     def cnc(self) -> None:
-        """The CNC has answered a poll."""
         self._cnc = False
 
 

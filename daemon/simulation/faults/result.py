@@ -35,7 +35,6 @@ class Result:
 
 
 def progress_line(result: Result, time_s: float, end_s: float, wall_s: float) -> str:
-    """Return how far a campaign has come."""
     shares = sorted(result.states_s.items(), key=lambda item: -item[1])
     states = ", ".join(f"{state} {100 * s / max(time_s, 1):.0f} %" for state, s in shares)
     return (
@@ -85,7 +84,6 @@ def failures(result: Result) -> list[str]:
 
 
 def summary(result: Result) -> str:
-    """Return what a person wants to read."""
     checked = sum(count.checked for count in result.ledger.counts.values())
     shares = ", ".join(f"{state} {seconds / 3600:.1f} h" for state, seconds in sorted(result.states_s.items()))
     slowest = max(((max(times), kind) for kind, times in result.recovery_s.items()), default=(0.0, "none"))

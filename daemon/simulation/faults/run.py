@@ -43,14 +43,7 @@ def run_campaign(
     base["compensation"]["model_file"] = str(models.path)
     path, configuration = write_simulation_configuration(base, directory, speed=1.0)
     running = Campaign(
-        configuration,
-        path,
-        directory,
-        days=days,
-        seed=seed,
-        progress=progress,
-        script=happenings,
-        models=models,
+        configuration, path, directory, days=days, seed=seed, progress=progress, script=happenings, models=models
     )
     gc.collect()
     gc.freeze()  # what is there now stays until the end: looking for garbage in it again and again takes time

@@ -83,7 +83,6 @@ class Incident(StrEnum):
     ZEROED = "zeroed"
     """A person asks for zero, and switches on again when the duration is over."""
     HAND_REFERENCE = "hand_reference"
-    """A person sets a reference."""
 
 
 Kind = FaultKind | Incident
@@ -232,11 +231,7 @@ def _corrupt(happening: Happening, lines: Sequence[LineConfig]) -> list[Fault]:
     bit = CORRUPT_BITS[int(happening.amount) % len(CORRUPT_BITS)]
     sensor = int(happening.target or 0)
     flipped = Fault(
-        kind=FaultKind.FLIPPED_BIT,
-        at_s=from_s,
-        duration_s=happening.end_s - from_s,
-        target=sensor,
-        amount=float(bit),
+        kind=FaultKind.FLIPPED_BIT, at_s=from_s, duration_s=happening.end_s - from_s, target=sensor, amount=float(bit)
     )
     if happening.kind is Incident.CORRUPT_START:
         return [flipped]

@@ -36,7 +36,6 @@ class Situation:
     connected: bool
     """The CNC answers, and the guard's echo is there."""
     at_zero: bool
-    """The guard applies nothing."""
     can_follow: bool
     """Reference, model, temperatures and links are good."""
 

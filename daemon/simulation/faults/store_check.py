@@ -40,7 +40,6 @@ class StoreCheck:
             self._moved.append(self._path.rename(self._path.with_name(f"moved-{len(self._moved)}.sqlite")))
 
     def _readers(self) -> Iterator[HistoryReader]:
-        """Yield a reader of each store there is, the oldest first."""
         for path in (*self._moved, self._path):
             with contextlib.suppress(HistoryError), HistoryReader(path) as reader:
                 yield reader

@@ -60,10 +60,7 @@ class TruthWatch:
     # --- events ---------------------------------------------------------------------------
 
     def restarted(self, time_s: float) -> None:
-        """A daemon is started: unless it takes the reference up again, only those tool settings count that it takes up.
-
-        It takes up a setting from a reference that had ended, and says which.
-        """
+        """A daemon is started: of tool settings only those count that it takes up, unless it does the reference."""
         self.busy(time_s)
         self.twin.restarted()
         self._restarted = True

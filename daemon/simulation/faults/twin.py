@@ -1,11 +1,8 @@
 """The twin of a fault campaign: where the tool stands while nothing goes wrong, worked out from the law alone.
 
-The twin stands on the same machine and hears the same NC program, but reads every sensor itself: no wire, no node and
-no disk lies between. What it asks for is what the page on what may move the machine says: what was applied at the
-reference becomes the baseline, from which the estimate since the reference is taken; a tool counts from its own
-setting and expands from when it came into the spindle; another model contributes from now on; a probe's deviation is
-cancelled. Nothing of the control's code is used here. Its sensors are right: no watch leaves one out that departs, as
-the machine now and then lets one do.
+The twin stands on the same machine and hears the same NC program, but reads every sensor itself, and nothing of the
+control's code is used: what was applied at the reference becomes the baseline, from which the estimate since then is
+taken; a tool counts from its own setting; another model contributes from now on; a probe's deviation is cancelled.
 """
 
 import math

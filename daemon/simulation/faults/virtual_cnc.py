@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from config.schema.cnc import CncConfig
-from daemon.simulation.faults.virtual_time import VirtualClock
-from daemon.simulation.faults.virtual_world import VirtualWorld
+from daemon.simulation.faults.virtual_world import VirtualClock, VirtualWorld
 from drivers.contract import SIMULATED_CNC_IDENTITY, FatalDriverError, LinkError, NotSentError, Security
 from drivers.sim.nc.nc import ModeCode, RunCode
 from models.records import CncMode, CncRun, CncSample
@@ -20,12 +19,7 @@ MODES = {
     ModeCode.JOG: CncMode.JOG,
     ModeCode.REMOTE: CncMode.REMOTE,
 }
-RUNS = {
-    RunCode.RESET: CncRun.RESET,
-    RunCode.STOP: CncRun.STOP,
-    RunCode.HOLD: CncRun.HOLD,
-    RunCode.START: CncRun.START,
-}
+RUNS = {RunCode.RESET: CncRun.RESET, RunCode.STOP: CncRun.STOP, RunCode.HOLD: CncRun.HOLD, RunCode.START: CncRun.START}
 
 
 class VirtualCnc:

@@ -1,8 +1,7 @@
 """The machines of a simulated fleet: the simulated machine's physics, recorded by the daemon's own store writer.
 
-Every machine runs the demo's part program on a day of its own, which differs by up to 20 % in every parameter. No
-estimator runs: an estimate is the machine's true displacement with a gain error of its own, so that some machines are
-compensated better than others.
+Each on a day of its own, which differs by up to 20 % in every parameter. No estimator runs: an estimate is the true
+displacement with a gain error of its own.
 """
 
 import itertools
@@ -25,7 +24,7 @@ from daemon.history import HistoryWriter
 from daemon.history.layout import MachineLayout
 from drivers.sim.machine.body import MachineBody
 from drivers.sim.machine.day import Day
-from drivers.sim.nc.program import Block, demo_program
+from drivers.sim.nc.program import demo_program
 from models.records import (
     CncMode,
     CncRun,
@@ -169,7 +168,6 @@ class FleetMachine:
         self.rows += 2
 
     def close(self) -> None:
-        """Write what is queued."""
         self._writer.close()
 
     @property
@@ -216,7 +214,7 @@ class FleetMachine:
                 CncSample(
                     time=self._at(self._polled_s),
                     mode=CncMode.MEMORY,
-                    run=_run_of(block),
+                    run=(CncRun.START if block.feeding else CncRun.STOP),
                     alarm=False,
                     program=self._body.program.number,
                     sequence_number=block.sequence_number,
@@ -305,10 +303,6 @@ def _after(instant: Instant, duration_s: float) -> Instant:
     )
 
 
-def _run_of(block: Block) -> CncRun:
-    return CncRun.START if block.feeding else CncRun.STOP
-
-
 def _turns(plan: FleetPlan, lines: Sequence[str]) -> Iterator[tuple[float, int, str, int]]:
     """Yield simulated time [s], machine, line and number of every cycle; machines and lines take turns evenly."""
     step_s = PERIOD_S / len(lines)
@@ -323,10 +317,7 @@ def _turns(plan: FleetPlan, lines: Sequence[str]) -> Iterator[tuple[float, int, 
 
 
 def run_machines(plan: FleetPlan, parent: Connection) -> None:
-    """Record the first cycle of each line, say so, wait for a word, and record the rest in its time.
-
-    The body of a process of its own.
-    """
+    """Record the first cycle of each line, say so, wait for a word, and record the rest: a process of its own."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     stop = set_by_signals(signal.SIGTERM)
     configuration = fleet_configuration()

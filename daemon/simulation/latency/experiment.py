@@ -1,8 +1,4 @@
-"""The published hot-and-ice experiment on the simulated machine: what is set up, and when what is moved.
-
-Section 2.3 of the dissertation: a sensor is moved ten times between a hot pack and an ice pack, and the
-delay is taken from the move to the first changed reading and to the changed macro variable.
-"""
+"""The hot-and-ice experiment of section 2.3 of the dissertation on the simulated machine: what is moved when."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -150,7 +146,6 @@ def setting_of(experiment: Experiment, configuration: Configuration) -> Setting:
 
 
 def write_script(script: PackScript, path: Path) -> None:
-    """Write the script for the simulated machine."""
     path.write_text(yaml.safe_dump(json.loads(json.dumps(asdict(script)))), encoding="utf-8")
 
 

@@ -1,8 +1,4 @@
-"""From the simulated machine's account and the daemon's audit to the delay of every move, in its parts.
-
-When the sensor was moved, read and sent, and when the macro changed, is the machine's own account. What the daemon
-added is its trace in the audit, in wall time. A total is the sum of its parts, so that it is the same at every speed.
-"""
+"""From the simulated machine's account and the daemon's audit to the delay of every move: the sum of its parts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -127,7 +123,6 @@ def _first_changed(setting: Setting, account: Account, between_s: tuple[float, f
 def _changed_macro(
     setting: Setting, account: Account, first: dict[str, Any], next_s: float, rises: float
 ) -> dict[str, Any]:
-    """Return the first write that shows the move in the macro."""
     temperature = setting.experiment.mode == "temperature"
     least = setting.script.change_degc if temperature else LEAST_COMPENSATION_CHANGE
     direction = rises if temperature else -rises
@@ -143,11 +138,7 @@ def _changed_macro(
 
 
 def _cause_of(setting: Setting, account: Account, change: dict[str, Any], record: WriteRecord) -> dict[str, Any]:
-    """Return the pass whose cycle changed the macro: by the daemon's trace it ended this long before.
-
-    At a high speed several passes end within the product's share, so the latest one need not be it. A temperature
-    in the macro must be what the pass carried.
-    """
+    """Return the pass whose cycle changed the macro: the one that by the daemon's trace ended so long before."""
     ended_real_s = change["real_s"] - record.delay_s["written"]
     passes = [event for event in account.passes if event["real_s"] <= change["real_s"]]
     if setting.experiment.mode == "temperature":
@@ -201,10 +192,7 @@ def result(setting: Setting, moves: Sequence[Move]) -> dict[str, Any]:
         },
         "held_back_s": of("held_back_s"),
         "seen_by_machine_s": of("seen_by_machine_s"),
-        "published": {
-            **{f"{part}_s": seconds for part, seconds in PUBLISHED_DELAY_S.items()},
-            "note": PUBLISHED_NOTE,
-        },
+        "published": {**{f"{part}_s": seconds for part, seconds in PUBLISHED_DELAY_S.items()}, "note": PUBLISHED_NOTE},
         "moves": [
             {
                 "number": move.number,

@@ -5,6 +5,7 @@ What its user knows was fitted on impact tests of other days: modes regressed on
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -12,13 +13,20 @@ from config.loader import load_configuration
 from config.machine.stability_case import StabilityCase
 from config.machines import shipped_file
 from config.schema.temperatures import SensorConfig
-from daemon.simulation.warm_up.machine import CYCLE_S, STANDING_S
 from daemon.workbench.stability.case_files import modal_response_of
 from drivers.sim.machine.day import Day
 from drivers.sim.spindle.warming_spindle import VibrationModes, WarmingModes, WarmingSpindle, impact_response
 from models.errors import StabilityError
 from models.records import FloatArray
-from models.spindle_speed.modal_regression import AXES, ModalEstimator, ModalRegression, ModalSample, SignalHistory
+from models.spindle_speed.modal_regression import (
+    AXES,
+    INTERVAL_S,
+    MEAN_S,
+    ModalEstimator,
+    ModalRegression,
+    ModalSample,
+    SignalHistory,
+)
 from models.spindle_speed.tool_point import ToolPointEstimator
 from models.stability.frf_modal_fit import fit_modes
 from models.stability.response import Mode
@@ -34,6 +42,33 @@ LINE_HZ = 1.5625
 """Between the lines of the measured responses [Hz]."""
 LEAST_GAIN_SHARE = 0.05
 """A velocity term of a mode above this share of its displacement term is no real mode's."""
+
+
+CYCLE_S = 10.0
+"""A reading of all sensors [s]."""
+STANDING_S = INTERVAL_S + MEAN_S
+"""The machine stands so long before it mills, so that the changes of temperature are known [s]."""
+
+
+class MillingMachine(Protocol):
+    """A simulated machine with its tool."""
+
+    @property
+    def sensors(self) -> Sequence[SensorConfig]:
+        """The temperature sensors, in the order of the readings."""
+
+    @property
+    def day(self) -> Day: ...
+
+    @property
+    def softer_axis(self) -> str:
+        """The axis that responds more at its resonance."""
+
+    def at(self, node_degc: FloatArray) -> VibrationModes:
+        """Return the true modes at the temperatures of all nodes [degC]."""
+
+    def estimator(self) -> ToolPointEstimator:
+        """Return a new estimator of the tool point, as the user has fitted it; it has had no temperature yet."""
 
 
 class CaseMachine:

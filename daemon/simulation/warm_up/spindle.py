@@ -102,10 +102,5 @@ def _identified(day: Day, machine_seed: int) -> ThermomechanicalModel:
         hit(day, labelled_sensors(), HIT_HZ, machine_seed=machine_seed).write(folder)
         run = read_run(folder, folder / RECORDING_FILE, configuration, Band(to_hz=float(HIT_HZ[-1])))
         return run_campaign(
-            [run],
-            read_spindle(file),
-            file,
-            load_bounds(),
-            signals=None,
-            progress=lambda *_: None,
+            [run], read_spindle(file), file, load_bounds(), signals=None, progress=lambda *_: None
         ).model

@@ -126,7 +126,6 @@ class _Answers:
         return line
 
     def close(self) -> None:
-        """Let go."""
         self._stream.close()
 
 

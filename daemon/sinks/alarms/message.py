@@ -40,7 +40,6 @@ class Message:
 
     @property
     def number(self) -> str:
-        """What makes it the same message when it comes twice."""
         content = [self.machine, *(_number(self.machine, entry) for entry in self.entries)]
         return _hash(content if self.entries else [*content, self.time_utc_s])
 

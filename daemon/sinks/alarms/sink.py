@@ -129,11 +129,6 @@ class Watched:
 FILE = TypeAdapter(Watched)
 
 
-def state_path(store: Path, sink: str) -> Path:
-    """Return where an alarm sink keeps what it knows."""
-    return cursor_path(store, sink).with_suffix(".alarms")
-
-
 def watched(path: Path) -> Watched:
     """Return what a file says; what a new sink knows where there is none that can be read."""
     try:
@@ -156,7 +151,7 @@ class AlarmSink:
         self._alarms: AlarmsConfig = config.alarms
         self._name, self._configuration = config.name, configuration
         self._messenger, self._now_utc_s = messenger, now_utc_s
-        self._path = state_path(configuration.history.path, config.name)
+        self._path = cursor_path(configuration.history.path, config.name).with_suffix(".alarms")
         self._known = self._written = watched(self._path)
         self._looked_s = self._computer_s = float("-inf")
         self._computer: tuple[Condition, ...] = ()
@@ -166,7 +161,6 @@ class AlarmSink:
         """Whom the last message did not reach, or why nobody knows whether it did; '' when it reached all."""
 
     def open(self, cursor: Cursor) -> Mapping[str, Position]:
-        """Return how far the events were read."""
         return {EVENTS.name: Position(row=self._known.row)}
 
     def close(self) -> None:
@@ -224,7 +218,6 @@ class AlarmSink:
         return ledger if condition is None else ledger.over(condition, ended_utc_s)
 
     def _of_output(self, stay: Stay, now_utc_s: float) -> Condition | None:
-        """Return what a stay of the output is an alarm of."""
         long_enough = now_utc_s - stay.since_utc_s >= self._alarms.hold_longer_than_s
         kind = stay.state.lower()
         if stay.state not in ALARMING or (stay.state == OutputState.HOLD and not long_enough) or not self._told(kind):

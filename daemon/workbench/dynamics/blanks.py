@@ -30,10 +30,7 @@ NOISY = 0.02
 
 
 def measured_blank(blank: Blank, band: Band) -> tuple[FloatArray, ComplexArray]:
-    """Return frequencies [Hz], shape (n,), and the three responses [m/N], shape (3, n).
-
-    Raises MeasurementError or MeasurementFileError naming files and frequencies.
-    """
+    """Return frequencies [Hz], shape (n,), and the three responses [m/N], shape (3, n); raises MeasurementError."""
     parts: list[Measurement] = []
     for place in PLACES:
         paths: Sequence[Path] = getattr(blank.test.responses, place)

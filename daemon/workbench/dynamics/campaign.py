@@ -12,8 +12,7 @@ from config.files import read_whole, sha256_of
 from config.machine.spindle_chain import Spindle
 from config.recordings.recording_map import RecordingMap, usual_map
 from config.schema import Configuration
-from daemon.workbench.dynamics.identifying import Band
-from daemon.workbench.dynamics.other_units import refuse_levels
+from daemon.workbench.dynamics.identifying import Band, refuse_levels
 from daemon.workbench.dynamics.responses import properties
 from drivers.files.frf_measurement import read_measurements
 from drivers.files.impact_index import ImpactIndexError, first_time, read_index
@@ -204,11 +203,7 @@ def run_campaign(
     progress: Progress,
     trust_units: bool = False,
 ) -> CampaignResult:
-    """Identify all responses and fit the regressions.
-
-    Raises IdentificationError when responses cannot be fitted, or minutes do not suffice; MeasurementError when a
-    response is of another unit, unless `trust_units`; ImpactIndexError when runs do not fit together.
-    """
+    """Identify all responses and fit the regressions; raises IdentificationError, MeasurementError."""
     if not spindle.shaft.supports:
         raise IdentificationError(f"{spindle_file}: describes no bearings; give their positions and groups")
     axes, candidates = _common(runs)

@@ -1,6 +1,7 @@
-"""Identification from measured responses, as plain data."""
+"""Identification from measured responses, as plain data; responses in another unit are refused."""
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -8,7 +9,6 @@ from typing import Any, Literal
 import numpy as np
 
 from config.machine.spindle_chain import Spindle
-from daemon.workbench.dynamics.other_units import refuse_other_units
 from daemon.workbench.dynamics.responses import ResponseError, properties
 from drivers.files.frf_measurement import read_measurements
 from models.dynamics.assembly import CondensedAssembly, SpindleAssembly
@@ -17,13 +17,60 @@ from models.dynamics.chain import Chain, Part, SpringDamper
 from models.dynamics.contact import Interface, chain_receptance, identify_contact
 from models.dynamics.identification import FIXED, Method, identify_bearings, kept_parameters, level_range_m_per_n
 from models.dynamics.measurement import Measurement, MeasurementError, average, check_for_identification
-from models.dynamics.plausibility import check_frequencies, check_level
+from models.dynamics.plausibility import check_frequencies, check_level, other_readings
 from models.dynamics.response_fit import Identified, good_fit
 
 Fixed = Literal["auto", "source", "file"]
 """Where the parameters that are not varied come from."""
 POOR_FIT = 0.5
 """Root mean square of |log(H / H_meas)| above which the model does not explain the measurement."""
+
+
+NO_FIT = 1.0
+"""Root mean square of |log(H / H_meas)| above which other units are tried."""
+HOPELESS = 2.0
+"""The same above which a response is refused even when no other unit explains it: a factor of seven."""
+BETTER = 4.0
+"""Another unit explains a response when it fits this many times better."""
+LINES = 400
+"""About so many of the frequencies are used to try other units."""
+
+Fit = Callable[[Measurement], float]
+"""Response -> root mean square of |log(H / H_meas)| of the best fit."""
+
+
+def refuse_other_units(measured: Measurement, log_error: float, fit: Fit) -> None:
+    """Refuse a response that was fitted badly and fits in another unit, or not at all; raises MeasurementError."""
+    if log_error <= NO_FIT:
+        return
+    thinned = measured.thinned(LINES)
+    for what, other in other_readings(thinned):
+        if fit(other) * BETTER < log_error:
+            raise MeasurementError(
+                f"the structure of the file cannot give these receptances from {_band(measured)} in m/N over Hz: on "
+                f"average they are off by a factor of {math.exp(log_error):.2g}. It can with numbers {what}; convert "
+                "them, or name the columns after what they hold"
+            )
+    if log_error > HOPELESS:
+        raise MeasurementError(
+            f"the structure of the file cannot give these receptances from {_band(measured)} with any properties; on "
+            f"average they are off by a factor of {math.exp(log_error):.2g}. Check the units (m/N, Hz), where it was "
+            "hit and measured, and the dimensions of the file"
+        )
+
+
+def refuse_levels(shaft: CondensedShaft, responses: Iterable[tuple[Path, Measurement]]) -> None:
+    """Refuse responses that the shaft cannot give in m/N over Hz; raises MeasurementError naming the file."""
+    lowest, highest = level_range_m_per_n(shaft)
+    for file, measured in responses:
+        try:
+            check_level(measured, lowest, highest)
+        except MeasurementError as error:
+            raise MeasurementError(f"{file}: {error}") from error
+
+
+def _band(measured: Measurement) -> str:
+    return f"{measured.frequency_hz[0]:g} to {measured.frequency_hz[-1]:g} Hz"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,10 +87,8 @@ class Band:
 def kept_for(spindle: Spindle, asked: str, vary: Sequence[str] = ()) -> tuple[dict[str, float], str]:
     """Return the bearing parameters that are kept, and what is varied where that was left open ('auto').
 
-    Five, the others kept at published values, are those of the published spindle with its three groups of bearings;
-    for any other arrangement these values say nothing, so all of its groups are varied.
-
-    Raises ResponseError when the spindle has no bearings; IdentificationError when `vary` names no parameter of it.
+    Five, the others kept at published values, are those of the published spindle with its three groups of bearings; for
+    any other arrangement these values say nothing, so all of its groups are varied.
     """
     groups = tuple(dict.fromkeys(support.group for support in spindle.shaft.supports))
     if not groups:
@@ -59,11 +104,7 @@ def kept_for(spindle: Spindle, asked: str, vary: Sequence[str] = ()) -> tuple[di
 
 
 def measured_response(paths: Sequence[Path], band: Band, parameters: int) -> Measurement:
-    """Return the average of all responses in the files, cut to the band.
-
-    Raises MeasurementError or MeasurementFileError when a file cannot be read or the band cannot determine the
-    parameters.
-    """
+    """Return the average of all responses in the files, cut to the band; raises MeasurementError."""
     whole = average([each for path in paths for each in read_measurements(path)])
     if not band.trust_units and len(whole.frequency_hz):
         check_frequencies(whole.frequency_hz)
@@ -88,12 +129,10 @@ def bearings_summary(
     may_vary_all: bool = False,
     trust_units: bool = False,
 ) -> dict[str, Any]:
-    """Return what `toolpoint dynamics identify` prints.
+    """Return what `toolpoint dynamics identify` prints; raises MeasurementError.
 
     `kept`: what is not varied, by `kept_for`. `fixed`: `auto` keeps it at these values and, when that fits badly, at
     the file's, or with `may_vary_all` nowhere.
-
-    Raises MeasurementError when the response is of another unit, unless `trust_units`.
     """
     shaft = CondensedShaft(spindle.shaft, measurement.frequency_hz)
     if not trust_units:
@@ -191,14 +230,9 @@ def contact_summary(
     *,
     trust_units: bool = False,
 ) -> dict[str, Any]:
-    """Return what `toolpoint dynamics contact` prints.
-
-    Raises ResponseError when the file lacks the joint's sides; MeasurementError when the response is of another unit,
-    unless `trust_units`.
-    """
+    """Return what `toolpoint dynamics contact` prints; raises ResponseError, MeasurementError."""
 
     def identified(measured: Measurement, method: Method) -> Identified:
-        """Return the contact that a response shows."""
         interface, start = _interface(spindle, measured, joint, after_segment)
         return identify_contact(interface, measured.receptance_m_per_n, start=start, method=method)
 

@@ -55,10 +55,7 @@ def frequencies(from_hz: float, to_hz: float, points: int | None, step_hz: float
 
 
 def properties(spindle: Spindle) -> BearingProperties:
-    """Return the bearing properties that the file states, by group.
-
-    Raises ResponseError when two bearings of one group differ.
-    """
+    """Return the bearing properties that the file states, by group; raises ResponseError when two differ."""
     found: dict[str, SpringDamper] = {}
     for support in spindle.shaft.supports:
         if found.setdefault(support.group, support.properties) != support.properties:

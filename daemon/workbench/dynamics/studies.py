@@ -27,9 +27,8 @@ VARIED = (("E",), ("G",), ("E", "G"))
 def sensitivity_summary(spindle: Spindle, file: Path, percent: float, count: int) -> dict[str, Any]:
     """Return what `toolpoint dynamics sensitivity` prints: modes with moduli that are off by a percentage.
 
-    Composites vary: laminates among the materials, and sections with written-out constants that no isotropic
-    material has. Without any composite everything varies. A constant that overrides a mixture changes by
-    as much as the mixture beneath it does.
+    Composites vary; without any, everything does. A constant that overrides a mixture changes by as much as the
+    mixture.
     """
     told = spindle.description
     names = _varied_materials(told)
@@ -148,10 +147,7 @@ def _multiplied(told: Constants, moduli: tuple[str, ...], young: float, shear: f
 
 
 def comparison_summary(spindles: Sequence[tuple[str, Spindle]], at: str, frequency_hz: FloatArray) -> dict[str, Any]:
-    """Return what `toolpoint dynamics compare` prints: the highest peak of each layout, beside that of the first.
-
-    Raises ResponseError naming the file of the layout that has no such place, or no finite response.
-    """
+    """Return what `toolpoint dynamics compare` prints: the highest peak of each layout, beside the first's."""
     layouts: list[dict[str, Any]] = []
     for file, spindle in spindles:
         try:

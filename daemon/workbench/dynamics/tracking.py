@@ -54,26 +54,10 @@ def track_recording(
     every_min: float,
     progress: Callable[[str, int, int], None],
 ) -> TrackedDay:
-    """Follow the resonances through a recording.
+    """Follow the resonances of axis -> spindle through a recording; raises TrackingError.
 
-    Parameters
-    ----------
-    temperatures
-        The recording.
-    model
-        Regressions of the bearings.
-    spindles
-        Axis -> spindle.
-    at
-        nose, holder or tool.
-    near_hz
-        The resonance nearest to this is followed [Hz]; None: the highest.
-    every_min
-        Time between the results [min].
-    progress
-        Called with what is done, how much of it, and of how much.
-
-    Raises TrackingError when a signal is missing, or no result comes out.
+    `at`: nose, holder or tool. `near_hz`: the resonance nearest to this is followed; None: the highest. `progress`:
+    what is done, how much of it, and of how much.
     """
     labels = {name: (index,) for index, name in enumerate(temperatures.signals)}
     assemblies = {axis: spindle.assembly(at) for axis, spindle in spindles.items()}

@@ -89,10 +89,7 @@ class RotatingSpindle:
 
 
 def response_of(case: StabilityCase) -> ToolPointResponse:
-    """Return the structure of a case: modes, or samples as soon as one direction is an FRF.
-
-    Raises MeasurementFileError for a file that is no FRF; StabilityError when two FRFs have different frequencies.
-    """
+    """Return the structure of a case: modes, or samples as soon as one direction is an FRF."""
     directions = {name: direction for name in PLACES if isinstance(direction := getattr(case, name), DirectionCase)}
     files = {name: read_direction(case, name, direction) for name, direction in directions.items() if direction.frf}
     modes = {name: _modes(direction) for name, direction in directions.items() if direction.frf is None}
@@ -109,11 +106,7 @@ def response_of(case: StabilityCase) -> ToolPointResponse:
 
 
 def read_direction(case: StabilityCase, name: str, direction: DirectionCase) -> Measurement:
-    """Return the frequency response that a direction (x, y, xy, yx) of a case names.
-
-    Raises MeasurementFileError for a file that cannot be read; StabilityError when it is no response that a tool
-    point of the case's diameter can have.
-    """
+    """Return the frequency response that a direction (x, y, xy, yx) of a case names."""
     assert direction.frf is not None
     found = read_frf(direction.frf)
     if name in ("x", "y") and not direction.trust_units:
@@ -127,11 +120,7 @@ def read_direction(case: StabilityCase, name: str, direction: DirectionCase) -> 
 
 
 def read_frf(path: Path) -> Measurement:
-    """Return the one frequency response of a file.
-
-    Raises MeasurementFileError for a file that cannot be read; StabilityError when it holds several responses, hardly
-    any frequencies, or another unit.
-    """
+    """Return the one frequency response of a file; raises MeasurementFileError, StabilityError."""
     responses = read_measurements(path)
     if len(responses) != 1:
         raise StabilityError(f"{path}: holds {len(responses)} responses; export the one of this direction")
@@ -153,11 +142,7 @@ def modal_response(modes: dict[str, tuple[Mode, ...]]) -> ModalResponse:
 
 
 def modal_response_of(case: StabilityCase, from_rpm: float, to_rpm: float) -> tuple[ModalResponse, tuple[str, ...]]:
-    """Return the modes of a case, fitted where a direction is an FRF, and warnings about the fits.
-
-    Raises MeasurementFileError for a file that is no FRF; StabilityError when an FRF does not cover the tooth-passing
-    band of the speeds [1/min], or no modes follow it.
-    """
+    """Return the modes of a case, fitted where a direction is an FRF, and warnings about the fits."""
     modes: dict[str, tuple[Mode, ...]] = {}
     warnings: tuple[str, ...] = ()
     for name in PLACES:

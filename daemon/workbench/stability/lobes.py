@@ -98,9 +98,7 @@ def _turning_lobes(case: StabilityCase, request: LobesRequest) -> StabilityLobes
     minimum = None
     if np.isfinite(depths_mm[place]):
         minimum = LobeMinimum(
-            speed_rpm=float(speeds_rpm[place]),
-            depth_mm=float(depths_mm[place]),
-            chatter_hz=float(chatter_hz[place]),
+            speed_rpm=float(speeds_rpm[place]), depth_mm=float(depths_mm[place]), chatter_hz=float(chatter_hz[place])
         )
     return StabilityLobes(
         speed_rpm=speeds_rpm,

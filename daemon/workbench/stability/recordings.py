@@ -15,13 +15,8 @@ from drivers.files.accelerometer_recording import AccelerationRecording
 from models.errors import StabilityError
 from models.json_values import finite_or_none
 from models.records import FloatArray
-from models.stability.chatter import (
-    ChatterVerdict,
-    detect_chatter,
-    speed_warning,
-)
-from models.stability.signal_checks import check_clipping, check_length
-from models.stability.spectra import machine_spectrum, standing_spectrum, window_samples
+from models.stability.chatter import ChatterVerdict, detect_chatter, speed_warning
+from models.stability.spectra import check_clipping, check_length, machine_spectrum, standing_spectrum, window_samples
 
 GROWTH = 1.25
 """Depths that differ by this factor tell what the cut makes from what the machine makes."""
@@ -43,11 +38,7 @@ def judge_recording(
     passages: Sequence[Passage],
     idle: AccelerationRecording | None = None,
 ) -> dict[str, Any]:
-    """Return the verdict of the whole recording, or of each depth; raises StabilityError.
-
-    `idle`: the same sensor while the spindle turns without a cut; where there is none, what stands still between
-    depths counts as the machine's own.
-    """
+    """Return the verdict of the whole recording, or of each depth; `idle`: without a cut. Raises StabilityError."""
     signal, rate_hz = recording.acceleration_m_s2, recording.sample_rate_hz
     check_clipping(signal)
     machine = None if idle is None else _machine(idle, rate_hz)
@@ -137,10 +128,7 @@ LARGEST = 1e6
 
 
 def read_profile(path: Path) -> tuple[FloatArray, bool]:
-    """Return position [mm], height [um] and depth [mm] of a profile, shape (n, 3), and whether depths are given.
-
-    CSV with position_mm,height_um[,depth_mm]; raises StabilityError.
-    """
+    """Return position [mm], height [um], depth [mm], shape (n, 3), and whether depths are given; a CSV file."""
     with csv_rows(path, "profile") as reader:
         names = reader.fieldnames or []
         if missing := [name for name in PROFILE_COLUMNS if name not in names]:

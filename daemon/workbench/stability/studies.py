@@ -28,10 +28,6 @@ FORCE_COLUMNS = ("feed_per_tooth_mm", "mean_force_x_n", "mean_force_y_n")
 def compare_cases(
     paths: Sequence[Path], request: LobesRequest, demand: SpeedDemand | None
 ) -> list[tuple[Path, StabilityLobes, SpeedChoice | None]]:
-    """Return lobes and, with a demand, the chosen speed of each case.
-
-    Raises ConfigurationError, MeasurementFileError and StabilityError.
-    """
     found = []
     for path in paths:
         try:
@@ -44,10 +40,7 @@ def compare_cases(
 
 
 def fitted_modes(case: StabilityCase) -> dict[str, tuple[Measurement, ModalFit]]:
-    """Return the FRF and the modes fitted to it for each direction of a case that names a file.
-
-    Raises MeasurementFileError and StabilityError.
-    """
+    """Return the FRF and the modes fitted to it for each direction of a case that names a file."""
     found = {}
     for name in ("x", "xy", "yx", "y"):
         direction = getattr(case, name)

@@ -28,28 +28,17 @@ def choice_of(model: str, prepared: Prepared, trust: Trust) -> Choice:
         relative_rmse=trust.held_out_relative_rmse,
         refused=trust.refused,
     )
-    return Choice(
-        family=model,
-        why="it was asked for by name; nothing else was tried",
-        candidates=(only,),
-    )
+    return Choice(family=model, why="it was asked for by name; nothing else was tried", candidates=(only,))
 
 
 def choice_figures(choices: Mapping[str, Choice], channels: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Return ``{channel: {chosen: {family, why}, candidates: {family: {rmse_um, reduction_rmse}}}}``.
-
-    Of several trainings, by name, the most frequent choice stands first with how often it was made, and the figures
-    are means over the trainings that tried a family.
-    """
+    """Return ``{channel: {chosen: {family, why}, candidates: {family: {rmse_um, reduction_rmse}}}}``."""
     chosen = _chosen(choices)
     everything = [candidate for choice in choices.values() for candidate in choice.candidates]
     families = list(dict.fromkeys(one.family for one in everything))
     tried = {name: [one for one in everything if one.family == name] for name in families}
     return {
-        channel: {
-            "chosen": chosen,
-            "candidates": {name: _figures(tried[name], index) for name in families},
-        }
+        channel: {"chosen": chosen, "candidates": {name: _figures(tried[name], index) for name in families}}
         for index, channel in enumerate(channels)
     }
 

@@ -32,13 +32,7 @@ from models.thermal.training.choice import Choice
 from models.thermal.training.evaluation import moving
 from models.thermal.training.families import fold_numbers
 from models.thermal.training.folds import cycles, inner_folds
-from models.thermal.training.inputs import (
-    Inputs,
-    build_inputs,
-    temperatures_alone,
-    unusable_sensors,
-    with_sensors,
-)
+from models.thermal.training.inputs import Inputs, build_inputs, temperatures_alone, unusable_sensors, with_sensors
 from models.thermal.training.online import (
     Followed,
     compensated_um,
@@ -112,10 +106,7 @@ class _Online:
 def read_recordings(
     paths: Sequence[Path], recording_map: RecordingMap | None, progress: Progress, *, common: bool = False
 ) -> tuple[list[Recording], tuple[str, ...]]:
-    """Return recordings that may be used, and the warnings about them; raises RecordingFileError, DatasetError.
-
-    `common`: columns that not all of them have are left out, not refused.
-    """
+    """Return recordings with the `common` columns alone, or all, and warnings; raises DatasetError."""
     return usable_recordings(read_alike(paths, recording_map, progress, common=common))
 
 
@@ -127,10 +118,7 @@ def evaluate(
     progress: Progress,
     stretches: list[Stretch] | None = None,
 ) -> dict[str, Any]:
-    """Return the figures of a family of models on recordings, for JSON; `stretches` takes what a page draws.
-
-    Raises DatasetError when the recordings cannot be trained on or tested as asked for.
-    """
+    """Return the figures of a family on recordings, for JSON; `stretches` takes what a page draws."""
     if protocol.leave_out == "runs":
         require_different(recordings)
     whole = build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())

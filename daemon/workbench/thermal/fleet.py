@@ -71,10 +71,7 @@ class FleetTraining:
 
 @contextmanager
 def fleet_executor(workers: int, dask: str | None) -> Iterator[Executor | None]:
-    """Yield what work is shared out by: processes of this computer, or workers of a Dask cluster; None: this one.
-
-    Raises FleetError where the cluster cannot be reached.
-    """
+    """Yield processes of this computer, or workers of a Dask cluster; None: this one. Raises FleetError."""
     if dask is not None:
         with _dask_executor(dask) as executor:
             yield executor
@@ -143,10 +140,7 @@ def train_fleet(
     executor: Executor | None,
     progress: Progress = lambda what, done, total: None,
 ) -> FleetTraining:
-    """Train a type from its machines; raises DatasetError, RecordingFileError or FleetError.
-
-    `channels`: displacement channels; None: those that all machines have.
-    """
+    """Train a type from its machines, for these channels or those of all; raises DatasetError, FleetError."""
     if len(machines) < 2:
         raise DatasetError(
             f"machine {machines[0].name}: a type is learned from two machines at least; train a model of one machine "

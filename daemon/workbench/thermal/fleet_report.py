@@ -39,11 +39,7 @@ def summary(result: FleetTraining, path: Path | None) -> dict[str, Any]:
                 "recordings": one.recordings,
                 "stale_recordings": one.stale,
                 "own_model": one.how,
-                "warnings": [
-                    *result.odd.get(one.machine, ()),
-                    *one.warnings,
-                    *contradicting.get(one.machine, ()),
-                ],
+                "warnings": [*result.odd.get(one.machine, ()), *one.warnings, *contradicting.get(one.machine, ())],
                 "left_out": [_left_out(each, made.channels) for each in left_out[one.machine]],
             }
             for one in result.summaries

@@ -36,11 +36,7 @@ def train_with_prior(
     configuration: Path,
     progress: Callable[[str, int, int], None],
 ) -> FamilyTraining:
-    """Read the recordings and train; raises RecordingFileError, ConfigurationError or DatasetError.
-
-    `configuration`: of the machine, which says where its sensors sit. Of its channels those are trained that the type
-    has. Without recordings it is `mean_on_machine`.
-    """
+    """Read the recordings, none for `mean_on_machine`, and train the channels of the type; raises DatasetError."""
     if not paths:
         return mean_on_machine(of_type, configuration)
     keep_one_heap()
@@ -69,11 +65,7 @@ def train_with_prior(
 
 
 def mean_on_machine(of_type: MachineType, configuration: Path) -> FamilyTraining:
-    """Return the mean of the fleet as a model of a machine without recordings.
-
-    `configuration`: of the machine, whose every sensor that the type reads becomes an input. Raises ConfigurationError
-    or DatasetError.
-    """
+    """Return the mean of the fleet as a model of a machine without recordings; raises DatasetError."""
     names = tuple(f"T{sensor_id}" for sensor_id in sorted(sensors_of(configuration)))
     parts = dict(zip(names, parts_of(names, configuration, configuration), strict=True))
     read = matching(of_type.parts, list(parts.values()), str(configuration)).sum(axis=0)

@@ -26,11 +26,7 @@ MOST_NAMED = 12
 def read_alike(
     paths: Sequence[Path], recording_map: RecordingMap | None, progress: Progress, *, common: bool = False
 ) -> list[Recording]:
-    """Return recordings with the same columns in the same order.
-
-    Raises RecordingFileError, and DatasetError that names the columns which some of them lack; where `common` is
-    wished, those are left out.
-    """
+    """Return recordings with the same, or only the `common`, columns in the same order; raises DatasetError."""
     if common:
         recording_map = common_map(paths, recording_map)
     else:
@@ -88,7 +84,6 @@ def common_map(paths: Sequence[Path], recording_map: RecordingMap | None) -> Rec
 
 
 def columns_left_out(paths: Sequence[Path], recording_map: RecordingMap | None) -> list[str]:
-    """Return the columns that the map names and not all recordings have."""
     _, found = _columns(paths, recording_map)
     every = dict.fromkeys(name for columns in found for names in columns.values() for name in names)
     return [name for name in every if not all(name in chain(*columns.values()) for columns in found)]
@@ -147,12 +142,7 @@ def _quoted(name: str) -> str:
 
 
 def proposal(path: Path) -> tuple[MapProposal, list[str] | None]:
-    """Return what the columns of a recording seem to be, and which of them are not read without a map.
-
-    The latter is None where nothing is read without one, because the names are not the usual ones.
-
-    Raises RecordingFileError when it cannot be read.
-    """
+    """Return what the columns of a recording seem to be, and which of them are not read without a map (None: all)."""
     for encoding in ENCODINGS:
         try:
             header, rows = read_beginning(path, LOOKED_AT, encoding)

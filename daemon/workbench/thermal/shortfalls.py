@@ -1,7 +1,4 @@
-"""What a test has to say beside its figures: harm that a model does, what is lost on line, which sensors were excluded.
-
-Each sentence of the first two says what to record next. The same sentences stand in the terminal and on the page.
-"""
+"""What a test has to say beside its figures: harm of a model, what is lost on line, which sensors were excluded."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -33,10 +30,7 @@ SIGNS = {"slew": "it jumped", "flat": "it stood still", "departure": "the others
 
 
 def beyond_training(inputs: Inputs, trained: BoolArray, tested: BoolArray) -> tuple[str, ...]:
-    """Return the speed, temperatures and axis positions of a test that training did not reach, the farthest first.
-
-    `inputs`: the recordings. `trained` and `tested`, shape (n,): rows of training and of the test.
-    """
+    """Return speed, temperatures and axis positions of a test's rows that training's did not reach, farthest first."""
     columns = [
         (name, values, "mm" if name in inputs.axis_positions else "degC")
         for name, values in zip(inputs.sensor_names, inputs.degc.T, strict=True)
@@ -60,10 +54,7 @@ def _number(value: float) -> str:
 
 
 def on_line_sentences(tests: Sequence[Mapping[str, Any]], beyond: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return why less would be had on line of tests than could be removed, the worst first.
-
-    `tests`: their figures. `beyond`: by the name of the test, see `beyond_training`.
-    """
+    """Return why less would be had on line of tests than could be removed, the worst first."""
     lost = []
     for test in tests:
         online, could = test["online"], test["reduction_rmse"]
@@ -128,10 +119,7 @@ def _excluded(test: Mapping[str, Any]) -> str:
 def harm_sentences(
     channels: Mapping[str, Mapping[str, Any]], by_test: Mapping[str, Mapping[str, Mapping[str, Any]]]
 ) -> list[str]:
-    """Return which channels are worse off with the model than without, and in which test most.
-
-    `channels`: figures by channel. `by_test`: test -> channel -> figures.
-    """
+    """Return which channels are worse off with the model than without, and in which test most."""
     found = []
     for name, figures in channels.items():
         if (reduction := figures["reduction_rmse"]) is None or reduction >= 0.0:
@@ -149,15 +137,9 @@ def harm_sentences(
 
 
 def reversed_sentences(
-    channels: Sequence[str],
-    tests: Mapping[str, Sequence[tuple[FloatArray, FloatArray]]],
-    said: Sequence[str] = (),
+    channels: Sequence[str], tests: Mapping[str, Sequence[tuple[FloatArray, FloatArray]]], said: Sequence[str] = ()
 ) -> list[str]:
-    """Return in which tests a channel reads the wrong way round: turned back it goes with what the others say.
-
-    `tests`: of each test, measured errors and residuals [um], shape (n, n_channels) each, of its stretches. `said`:
-    sentences that name some of them already.
-    """
+    """Return in which tests a channel reads the wrong way round: turned back it goes with what the others say."""
     found = []
     for channel, name in enumerate(channels):
         turned = [test for test, parts in tests.items() if _is_turned(parts, channel)]
@@ -188,7 +170,6 @@ def place(test: str, recording: str) -> str:
 
 
 def fault_sentences(faults: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return what came of each fault that was asked for."""
     found = []
     for fault in faults:
         after, ratio = fault["found_after_min"], fault["max_ratio"]
@@ -218,7 +199,6 @@ def columns_sentences(columns: Sequence[str]) -> list[str]:
 
 
 def temperature_sentences(tests: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return which temperatures were left out, in which tests, and why."""
     return said_together(
         [
             (test["name"], f"temperature {name} is left out of the model: {why}")

@@ -44,7 +44,6 @@ def string(text: str | None) -> bytes:
 
 
 def node_id(key: NodeKey) -> bytes:
-    """Return a node's id in its shortest form."""
     namespace, identifier = key
     if isinstance(identifier, str):
         return struct.pack("<BH", 3, namespace) + string(identifier)
@@ -74,7 +73,6 @@ def variant(kind: Kind, value: object) -> Encoded:
 
 
 def strings(values: Sequence[str]) -> Encoded:
-    """Return an array of texts."""
     return Encoded(bytes((Kind.STRING | ARRAY,)) + _INT.pack(len(values)) + b"".join(string(value) for value in values))
 
 

@@ -49,7 +49,6 @@ class Request:
             self._pass_over()
 
     def unpacked(self, form: str) -> tuple[Any, ...]:
-        """Return the next numbers."""
         size = struct.calcsize(form)
         return struct.unpack(form, self._read(lambda: self.body.read(size)))
 
@@ -66,7 +65,6 @@ class Request:
         return int(count)
 
     def numbers(self) -> AsyncIterator[int]:
-        """Yield the numbers of a list."""
         return self._listed(lambda: self.unpacked("<I")[0], MOST_NODES)
 
     def nodes(self) -> AsyncIterator[Any]:

@@ -41,7 +41,6 @@ class Session:
         self.idle_s = LEAST_SESSION_S
         """It ends when nothing is asked for this long [s]."""
         self.person: Any = None
-        """Who is logged in."""
 
     def description(self, asked: str | None) -> ua.ApplicationDescription:
         """Return what the server is; at the address under which the client asked for it."""
@@ -155,7 +154,6 @@ class Session:
         return self.person
 
     def check_token(self, request: Request) -> None:
-        """Raise ServiceError unless the request is of this session."""
         if self._token is None or request.token != self._token.Identifier:
             raise ServiceError(StatusCodes.BadSessionIdInvalid)
 

@@ -195,7 +195,6 @@ class Space:
         self.nodes: dict[NodeKey, Node] = {}
 
     def add(self, node: Node, parent: Node | None, reference: int) -> Node:
-        """Add a node below another."""
         assert node.key not in self.nodes, node.key
         self.nodes[node.key] = node
         if parent is not None:

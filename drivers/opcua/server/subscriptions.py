@@ -1,7 +1,4 @@
-"""Subscriptions of one session (OPC 10000-4, 5.12 and 5.13): each item tells its newest value, none is queued.
-
-What a tag tells is encoded once for all subscribers; a message is put together from these bytes.
-"""
+"""Subscriptions of one session (OPC 10000-4, 5.12 and 5.13): newest values, each encoded once for all, none queued."""
 
 import struct
 import time
@@ -90,7 +87,6 @@ class Subscription:
         self.most_notifications = most
 
     def revised(self) -> bytes:
-        """Return what was granted."""
         return struct.pack("<dII", self.interval_s * 1000.0, self.lifetime, self.most_silent)
 
     def gathered(self) -> list[bytes]:
@@ -195,7 +191,6 @@ class Publisher:
                 self.delete(each.number)
 
     def next_s(self) -> float:
-        """Return when the next message is due."""
         return min((each.due_s for each in self.subscriptions.values()), default=float("inf"))
 
     def _refuse_all(self) -> None:

@@ -1,8 +1,7 @@
 """The simulated machine without its control: programme, spindle, heat, sensors and shape over time.
 
-The physics moves from knot to knot: multiples of 10 s and the boundaries of program blocks. Between
-two knots the state is worked out from the last knot whenever somebody looks, and not kept, so that
-a run does not depend on how often or when it is looked at.
+The physics moves from knot to knot: multiples of 10 s and the boundaries of program blocks. What is looked at in
+between is worked out from the last knot and not kept, so that a run does not depend on looking.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -93,7 +92,6 @@ class MachineBody:
 
     @property
     def block(self) -> Block:
-        """The block of the program that runs now."""
         return self.program.blocks[self._index]
 
     @property
@@ -112,11 +110,7 @@ class MachineBody:
         return float(self.thermal_nodes()[INDEX["stator"]])
 
     def advance(self, to_s: float, *, leaving: Callable[[float], None], entered: Callable[[], None]) -> None:
-        """Move on to `to_s` [s].
-
-        `leaving` is called with the end of every stretch within one block, while that block still
-        runs, and may hold it (`hold`); `entered` after each change of block.
-        """
+        """Move on to `to_s`: `leaving(end_s)` may hold the block that still runs; `entered` follows each change."""
         while (end_s := self.block_end_s) <= to_s:
             leaving(end_s)
             if self.block_end_s > end_s:

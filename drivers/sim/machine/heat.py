@@ -30,7 +30,6 @@ class Drive:
     spindle_speed_rpm: float
     chiller: bool
     feeding: bool
-    """The axes move."""
     powered: bool = True
 
 

@@ -1,11 +1,8 @@
 """The simulated machine as its faces see it: body, NC, and the truth about the tool point.
 
-Signs: everything is the tool point relative to the work along the axis. An applied compensation of
-+10 um moves the tool point by +10 um, so it cancels an error of -10 um. At work positioning (the
-start of a positioning block) the NC's part zero is set with the machine as it then is, so both
-series of the truth are 0 there: compensated = uncompensated + applied - applied at positioning.
-What is applied moves the tool point through the machine's wiring, which may be wrong on purpose; the
-displacement sensors see it move, as they would on a machine.
+Everything is the tool point relative to the work along the axis. At work positioning both series of the truth are 0:
+compensated = uncompensated + applied - applied at positioning. What is applied moves the tool point through the
+machine's wiring, which may be wrong on purpose, and the displacement sensors see it move.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,10 +1,8 @@
 """One sensor of a simulated machine, moved between a hot pack and an ice pack by a script.
 
-The machine below it stays as it is: only what this sensor's register holds is replaced. The sensor
-follows the pack it lies on with a first-order lag of its own, converts with noise and rounds as the
-others do. What really happened (moves, register reads, writes of one macro variable) is reported as
-it happens, in the machine's time, and where bytes or macros pass in wall time as well: it is the
-truth that a measured delay is compared with.
+It follows its pack with a first-order lag, converts with noise and rounds as the others do. What really happened
+(moves, register reads, writes of one macro variable) is reported in the machine's time, and in wall time where bytes or
+macros pass.
 """
 
 import itertools

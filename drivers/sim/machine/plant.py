@@ -8,8 +8,7 @@ the step, which is stable for the steps of at most 10 s used here.
 
 import numpy as np
 
-from drivers.sim.machine.ambient import Ambient
-from drivers.sim.machine.day import Day
+from drivers.sim.machine.day import Ambient, Day
 from drivers.sim.machine.heat import INDEX, Drive, HeatSources
 from drivers.sim.machine.parameters import AIR_LINKS, LINKS, NODES, OIL_LINKS, OUTSIDE_LINKS, Link
 from models.records import FloatArray

@@ -27,12 +27,10 @@ def record(
     travels: Mapping[str, AxisTravel] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[tuple[str, ...], FloatArray]:
-    """Run a day and return column names and values.
+    """Run a day up to `hours` and return column names and values every `sample_s`.
 
-    Columns: t [s], rpm (actual spindle speed), the displacement channels as the A/D logger reads
-    them [um], T1, T2 .. by sensor number, as decoded from the registers [degC], and X_mm, Y_mm, Z_mm
-    of axes with `travels`. Rows are samples
-    at 0, `sample_s`, 2 `sample_s` .. , up to `hours`. `progress` is called with 0..1 now and then.
+    Columns: t [s], rpm (actual spindle speed), the displacement channels as the A/D logger reads them [um], T1, T2 ..
+    by sensor number, as decoded from the registers [degC], and X_mm, Y_mm, Z_mm of axes with `travels`.
     """
     if sample_s < MAX_STEP_S:
         raise ValueError(f"sample_s is {sample_s}; the sensors convert once in {MAX_STEP_S} s")

@@ -59,7 +59,6 @@ class BlockInterpreter(ABC, Generic[L]):
 
     @property
     def running(self) -> bool:
-        """A program is under way."""
         return bool(self._levels)
 
     @abstractmethod

@@ -41,10 +41,7 @@ class NcPrograms:
         return self._application.interpreter.running or bool(self._queue)
 
     def enter(self, block: Block, time_s: float, *, probed_um: float | None) -> None:
-        """Begin a block of the part program: what it asks for, and at a safe point the guard.
-
-        An alarm has ended when the next block begins: this operator presses reset and goes on there.
-        """
+        """Begin a block of the part program: what it asks for, the guard at a safe point; an alarm has ended."""
         programs = self._application.programs
         self._nc.alarm = 0
         self._application.control.alarm = None

@@ -1,7 +1,6 @@
 """The NC programs as the simulated NC runs them: the very text that `toolpoint guard` prints.
 
-The guard reads the block of macro variables at safe points and changes the external work offset by G10, or SD43900 on a
-SINUMERIK. What is applied is that offset minus the operator's own, whatever the echo says.
+What is applied is the external work offset (G10, or SD43900) minus the operator's own, whatever the echo says.
 """
 
 from collections.abc import Mapping

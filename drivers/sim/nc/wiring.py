@@ -1,8 +1,4 @@
-"""How what the NC applies reaches the tool point of the simulated machine: straight, or wrong on purpose.
-
-A machine whose offset has the wrong sign, lands on another axis or is taken for inches is what a
-commissioning has to find.
-"""
+"""How what the NC applies reaches the tool point of the simulated machine: straight, or wrong on purpose."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -41,11 +41,7 @@ class DisplacementCsv:
         faults: Sequence[Fault] = (),
         unit: str | None = None,
     ) -> None:
-        """Prepare the logger; `read` gives displacements by channel [um], `utc_of` the UTC of a simulated time.
-
-        `period_s` None: the configured interval, or a minute. `unit`: what a row of units says of every channel; None:
-        what its scale stands for.
-        """
+        """Prepare the logger: `read` gives [um] by channel, `utc_of` UTC; `unit`: its row of units, None: by scale."""
         assert config.file is not None
         self._file = config.file
         self._scale_um = {channel.name: channel.scale_um for channel in config.channels}
@@ -61,7 +57,6 @@ class DisplacementCsv:
         self._files = 0
         self.path = self._new_path()
         self.rows = 0
-        """Rows written."""
 
     def begin(self) -> None:
         """Write the file's head, which else comes with the first row."""

@@ -1,8 +1,6 @@
-"""The FOCAS2 face of a simulated CNC.
+"""The FOCAS2 face of a simulated CNC: reads show its present state, writes reach its macro variables at once.
 
-Every read is answered from the NC's present state, and every accepted write reaches the NC's macro variables at once.
-As a control does, it refuses what it does not have by the error of the block, a sixth session, and a variable that
-does not exist.
+As a control does, it refuses what it does not have by the error of the block, and a sixth session.
 """
 
 import asyncio

@@ -1,8 +1,4 @@
-"""The machine data collection of a simulated Haas control.
-
-As a control does, it takes two connections and sends every answer to both, answers `UNKNOWN` to what it does not know,
-and acknowledges a written value with nothing but `!`.
-"""
+"""The machine data collection of a simulated Haas control: two connections, every answer to both, `UNKNOWN` and `!`."""
 
 import asyncio
 from collections.abc import Callable, Mapping
@@ -54,7 +50,6 @@ class HaasResponder:
         }
 
     def answer(self, line: str) -> bytes:
-        """Return what goes to everybody who is connected."""
         request = parse_request(line)
         if isinstance(request, Write):
             return self._write(request)
@@ -117,7 +112,6 @@ class SimulatedHaasServer(Listener["_Connection"]):
         return await asyncio.get_running_loop().create_server(lambda: _Connection(self), HOST, port)
 
     def send(self, data: bytes) -> None:
-        """Send to everybody who is connected."""
         for connection in list(self.connections):
             connection.send(data)
 

@@ -76,10 +76,7 @@ class LineTransmitter:
         faults: Sequence[Fault] = (),
         seed: int = 0,
     ) -> None:
-        """Prepare the line; `devices` gives each sensor's device by sensor ID, `read` the registers.
-
-        The first pass begins at `phase_s`, none begins at or after `until_s`.
-        """
+        """Prepare the line; `read` gives registers by sensor ID, passes begin from `phase_s` until `until_s`."""
         self._line = line
         self._mlx90615 = frozenset(i for i in line.sensor_ids if devices[i] == "MLX90615")
         self._read = read
@@ -111,7 +108,6 @@ class LineTransmitter:
 
     @property
     def idle(self) -> bool:
-        """No pass is under way."""
         return self._pass is None
 
     def advance(self, now_s: float) -> bytes:

@@ -1,8 +1,4 @@
-"""The LATSIS lines of a simulated machine on pseudo-terminals.
-
-Nothing here sleeps: the owner moves the lines on in simulated time with `step`, as often as it
-likes. Times are absolute, so a late step sends what has become due in between and no drift builds up.
-"""
+"""The LATSIS lines of a simulated machine on pseudo-terminals; the owner moves them on by `step`, nothing sleeps."""
 
 import contextlib
 import math
@@ -82,7 +78,7 @@ class PtyPort:
         self._backlog += data
         if self._master is None:
             self._drop()
-        elif not self._reader_present():
+        elif any((events & select.POLLHUP for _, events in self._poll.poll(0))):
             termios.tcflush(self._master, termios.TCOFLUSH)
             self._drop()
         elif self._backlog:
@@ -93,9 +89,6 @@ class PtyPort:
             del self._backlog[: os.write(master, self._backlog)]
         if len(self._backlog) > MAX_BACKLOG_BYTES:
             self._drop()
-
-    def _reader_present(self) -> bool:
-        return not any(events & select.POLLHUP for _, events in self._poll.poll(0))
 
     def _drop(self) -> None:
         self.bytes_dropped += len(self._backlog)
@@ -170,10 +163,7 @@ class LatsisWires:
         return min((transmitter.next_start_s for transmitter, _ in self._lines.values()), default=math.inf)
 
     def step(self, now_s: float, passed: Passed | None = None) -> None:
-        """Send what is due at a simulated time [s]; pull and plug adapters as the faults say.
-
-        `passed(line, start_s, end_s)` is called for each pass, right before its last bytes go out.
-        """
+        """Send what is due at a simulated time [s], adapters pulled and plugged; `passed` hears of each pass."""
         for name, (transmitter, port) in self._lines.items():
             before = transmitter.last_pass_s
             due = transmitter.advance(now_s)

@@ -22,7 +22,6 @@ class Listener(ABC, Generic[C]):
         """`port` 0 takes any free one."""
         self._port = port
         self.connections: set[C] = set()
-        """Who is connected now."""
         self._server: asyncio.Server | None = None
 
     @abstractmethod

@@ -1,7 +1,4 @@
-"""Simulated boxes that answer Modbus, over TCP; of its own, without a library.
-
-What an answer does on its way (late, twice, in another's place) is decided by `way`, so that a test can play it.
-"""
+"""Simulated boxes that answer Modbus over TCP, without a library; `way` decides what becomes of an answer."""
 
 import asyncio
 import struct
@@ -76,7 +73,6 @@ class ModbusTcpBox:
         self._server: asyncio.Server | None = None
         self._served: dict[asyncio.StreamWriter, asyncio.Task[None]] = {}
         self.requests = 0
-        """Requests that were answered."""
 
     @property
     def port(self) -> int:

@@ -108,10 +108,7 @@ class SimulatedCncServer:
         security: ServerSecurity | None = None,
         readable: Iterable[int] = (),
     ) -> None:
-        """Prepare the server; `port` None takes the configured endpoint's, 0 any free one.
-
-        `readable` are macro variables that are served beside those of the macro map.
-        """
+        """Prepare the server on a port (None: the configured one), with these macro variables beside the map's."""
         limit_library_log()
         self._nc = nc
         self._config = config
@@ -256,11 +253,7 @@ class _OneUser(UserManager):
         self._security = security
 
     def get_user(
-        self,
-        iserver: InternalServer,
-        username: str | None = None,
-        password: str | None = None,
-        certificate: Any = None,
+        self, iserver: InternalServer, username: str | None = None, password: str | None = None, certificate: Any = None
     ) -> User | None:
         if self._security is None:
             return User(role=UserRole.User)

@@ -113,16 +113,12 @@ async def run_simulated_machine(
 ) -> None:
     """Run until cancelled; the machine's time 0 is the moment when all faces are there.
 
-    `report` is called each `report_period_s` of simulated time and once more when cancelled, with
-    `{time_s, nc: {state, macros: {number: value}}, truth: {axis: {uncompensated_um, compensated_um,
-    cutting, uncompensated_max_um, compensated_max_um}}, cycles_sent: {line: n}, cycles_disturbed,
-    bytes_dropped, late_real_s, faults: [kinds that are on]}`; the maxima are of the amount during cuts so far,
-    and `late_real_s` is the longest that the machine waited for its turn on this computer.
-
-    With `own_process` the garbage collector is told that all that exists after the start stays,
-    which saves pauses of a tenth of a second. Lines are silent before `first_pass_s` and begin no
-    pass from `until_s` on (both on the clock); when the last pass has gone out a report with
-    `final: true` is made. A `witness` is told of the origin of the machine's time and of every pass.
+    `report` is called each `report_period_s` and once more when cancelled, with `{time_s, nc: {state, macros: {number:
+    value}}, truth: {axis: {uncompensated_um, compensated_um, cutting, uncompensated_max_um, compensated_max_um}},
+    cycles_sent: {line: n}, cycles_disturbed, bytes_dropped, late_real_s, faults: [kinds that are on]}`; the maxima are
+    of cuts so far, `late_real_s` is the longest wait for this computer. Lines are silent before `first_pass_s` and
+    begin no pass from `until_s` on; after the last pass a report has `final: true`. A `witness` is told of the origin
+    of the machine's time and of every pass.
     """
     check_targets(faults, configuration)
     async with _cnc_face(machine, configuration, faults, security) as (endpoint, relay):
@@ -274,10 +270,7 @@ class _Run:
 
 @contextlib.asynccontextmanager
 async def _cnc_face(
-    machine: SimulatedMachine,
-    configuration: Configuration,
-    faults: Sequence[Fault],
-    security: ServerSecurity | None,
+    machine: SimulatedMachine, configuration: Configuration, faults: Sequence[Fault], security: ServerSecurity | None
 ) -> AsyncIterator[tuple[str, TcpRelay | None]]:
     """Serve the CNC on the configured port; a relay stands before it only if a fault needs one."""
     relayed = bool(of_kind(faults, FaultKind.FROZEN_CNC, FaultKind.KILLED_CNC))

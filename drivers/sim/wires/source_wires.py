@@ -75,12 +75,7 @@ class SourceWires:
     """All sources of one machine. From `until_s` on no cycle begins."""
 
     def __init__(
-        self,
-        sources: Sequence[SourceConfig],
-        read: Temperatures,
-        *,
-        until_s: float = math.inf,
-        utc_of: UtcOf = float,
+        self, sources: Sequence[SourceConfig], read: Temperatures, *, until_s: float = math.inf, utc_of: UtcOf = float
     ) -> None:
         """Prepare; `utc_of` gives the UTC of a simulated time [s]. Raises ValueError."""
         self._faces = {source.name: face_of(source, read, utc_of) for source in sources}
@@ -93,11 +88,9 @@ class SourceWires:
 
     @property
     def idle(self) -> bool:
-        """Nothing comes any more."""
         return all(face.stopped for face in self._faces.values())
 
     async def open(self) -> None:
-        """Let all of them be there."""
         for face in self._faces.values():
             await face.open()
 
@@ -107,7 +100,6 @@ class SourceWires:
             await face.step(now_s, self._until_s)
 
     async def close(self) -> None:
-        """Let all of them be gone."""
         for face in self._faces.values():
             await face.close()
 

@@ -149,7 +149,6 @@ class _End(asyncio.Protocol):
         self._abandoned = True
 
     def pause(self) -> None:
-        """Stop reading."""
         if self._transport is not None and self._transport.is_reading():
             self._transport.pause_reading()
 

@@ -40,7 +40,6 @@ class Campaign:
 
     @property
     def training(self) -> list[PublishedSet]:
-        """Training sets, by number."""
         return [self.sets[number] for number, entry in self.entries.items() if entry.usage == "train"]
 
     @property
@@ -55,7 +54,6 @@ class Campaign:
 
     @property
     def temperature_names(self) -> tuple[str, ...]:
-        """Columns of the temperatures, the same in all sets."""
         return next(iter(self.sets.values())).recording.temperature_names
 
     def labelled_degc(self, prepared: PublishedSet, label: str) -> FloatArray | None:

@@ -113,10 +113,6 @@ def _cumulative(number: str, what: str, parts: Sequence[tuple[str, PrincipalComp
 
 
 def write_figures(folder: Path, output: Path, *, intercept: bool, repeats: int, progress: Progress) -> dict[str, Any]:
-    """Draw every figure of a campaign and return what they show.
-
-    Raises CampaignIndexError, RecordingFileError, DatasetError; OSError when the output cannot be written.
-    """
     output.mkdir(parents=True, exist_ok=True)
     campaign = read_campaign(folder, progress)
     components = campaign_components(campaign, progress)

@@ -24,10 +24,7 @@ DEFAULT_MODALS = {3: 90, 5: 94, 6: 21, 7: 40, 9: 80}
 
 
 class MacroControl:
-    """State that outlives a program: system variables, modal codes, the external work offset, alarms.
-
-    `common` are the common variables; `clock_s` is the time since power-on.
-    """
+    """State that outlives a program: common and system variables, modal codes, external offset, alarms."""
 
     def __init__(self, common: Macros, *, addresses: Sequence[str], increment_mm: float) -> None:
         self.common = common

@@ -8,6 +8,7 @@ from drivers.sim.nc.blocks import NcError
 from drivers.sim.nc.custom_macro.expressions import (
     Condition,
     Frame,
+    Reader,
     Value,
     condition,
     expression,
@@ -15,7 +16,6 @@ from drivers.sim.nc.custom_macro.expressions import (
     variable_number,
     whole_number,
 )
-from drivers.sim.nc.custom_macro.tokens import Reader
 
 
 class Running(Protocol):
@@ -58,7 +58,6 @@ class MacroProgram:
 
     @property
     def name(self) -> str:
-        """As the control shows it."""
         return f"O{self.number}"
 
     def where(self, index: int) -> str:

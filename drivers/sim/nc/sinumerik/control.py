@@ -59,7 +59,6 @@ class SinumerikControl:
         self.not_machining: set[str] = set()
         """Those of `NOT_MACHINING` that are TRUE."""
         self.actions: dict[int, Action] = {}
-        """Synchronised actions by their number."""
         self.alarm: tuple[int, str] | None = None
         """Number and text of the alarm that has stopped the program."""
         self.messages: deque[str] = deque(maxlen=MESSAGES_KEPT)
@@ -123,7 +122,6 @@ class SinumerikControl:
         return self.external_mm[axis] + self.slopes[axis] * (position_mm - self.pivots_mm[axis])
 
     def cycle(self) -> None:
-        """Do what the control does in every cycle of its interpolator."""
         for action in self.actions.values():
             action(self)
 

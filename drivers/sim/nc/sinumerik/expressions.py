@@ -68,14 +68,12 @@ class Tokens:
         return text
 
     def accept(self, text: str) -> bool:
-        """Take the next token if it is this one."""
         if self.peek() != text:
             return False
         self.take()
         return True
 
     def finish(self) -> None:
-        """Raise NcError when anything is left."""
         if self._found:
             raise NcError(f"{self.peek()!r} is not expected in {self.line!r}")
 

@@ -44,7 +44,6 @@ class SinumerikInterpreter(BlockInterpreter[_Level]):
 
     @property
     def given(self) -> list[bool]:
-        """Which parameters the call has given."""
         return self._levels[-1].given
 
     def _begin(self, number: int, arguments: dict[str, float]) -> None:
