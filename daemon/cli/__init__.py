@@ -10,7 +10,6 @@ import gc
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from importlib.metadata import version
 from types import ModuleType
 from typing import Any
 
@@ -274,7 +273,7 @@ class LazyGroup(click.Group):
 
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(version("toolpoint"), prog_name="toolpoint")
+@click.version_option(package_name="toolpoint", prog_name="toolpoint")
 def main() -> None:
     """Keep the tool point where the program says it is while the machine warms and cools."""
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 from config.schema.spindle_speed import SpeedMacrosConfig
 from daemon.cnc.macro_block import LAST_SEQUENCE, begun_after, sequence_of, status_of
@@ -40,7 +40,7 @@ def speed_check(macros: SpeedMacrosConfig, held: Mapping[int, float | None]) -> 
     return value("sequence_b") + value("enable") + sum(parts)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class OperationKey:
     """What a pair is made for: the operation as the NC program calls it, in the order of the macros."""
 
@@ -101,20 +101,12 @@ class SpeedBlock:
         numbers = [value for value in values if value is not None and math.isfinite(value)]
         if len(numbers) < len(values):
             return None
-        count, tool_number, speed_rpm, feed_mm_min, depth_mm, radial_mm, kind, text = numbers
+        count, tool_number, speed_rpm, feed_mm_min, *_, text = numbers
         if count <= 0.0 or speed_rpm <= 0.0 or feed_mm_min <= 0.0:
             return None
         if not (count.is_integer() and tool_number.is_integer()):
             return None
-        operation = OperationKey(
-            tool_number=tool_number,
-            speed_rpm=speed_rpm,
-            feed_mm_min=feed_mm_min,
-            depth_mm=depth_mm,
-            radial_mm=radial_mm,
-            kind=kind,
-        )
-        return SpeedCall(count=int(count), operation=operation, text=text)
+        return SpeedCall(count=int(count), operation=OperationKey(*numbers[1:-1]), text=text)
 
     def made_for(self, found: MacroValues) -> OperationKey | None:
         """Return the operation that the NC program has called last; None as for `call`."""
@@ -123,15 +115,8 @@ class SpeedBlock:
 
     @property
     def _called(self) -> tuple[int, ...]:
-        told = self._map
-        return (
-            told.called_tool,
-            told.called_speed,
-            told.called_feed,
-            told.called_depth,
-            told.called_radial,
-            told.called_kind,
-        )
+        nc = self._map
+        return (nc.called_tool, nc.called_speed, nc.called_feed, nc.called_depth, nc.called_radial, nc.called_kind)
 
     @property
     def _made_for(self) -> tuple[int, ...]:
@@ -141,18 +126,8 @@ class SpeedBlock:
     def pair(self, found: MacroValues) -> SpeedPair:
         if found.get(self._map.enable) != 1.0:
             return DISABLED
-        tool_number, speed_rpm, feed_mm_min, depth_mm, radial_mm, kind = (
-            found.get(number) or 0.0 for number in self._made_for
-        )
         return SpeedPair(
-            made_for=OperationKey(
-                tool_number=tool_number,
-                speed_rpm=speed_rpm,
-                feed_mm_min=feed_mm_min,
-                depth_mm=depth_mm,
-                radial_mm=radial_mm,
-                kind=kind,
-            ),
+            made_for=OperationKey(*(found.get(number) or 0.0 for number in self._made_for)),
             speed_rpm=found.get(self._map.speed) or 0.0,
             feed_mm_min=found.get(self._map.feed) or 0.0,
             enable=True,
@@ -190,18 +165,9 @@ class SpeedBlock:
     def encode(self, pair: SpeedPair, *, after: int, valid_until_s: float) -> Groups:
         """Return the groups to write, sequence_a, content with its check, sequence_b."""
         sequence = float(after % LAST_SEQUENCE + 1)
-        made_for = pair.made_for
-        values = (
-            made_for.tool_number,
-            made_for.speed_rpm,
-            made_for.feed_mm_min,
-            made_for.depth_mm,
-            made_for.radial_mm,
-            made_for.kind,
-        )
         tenths = math.floor(valid_until_s * PER_SECOND) if pair.enable else 0
         content = (
-            *zip(self._made_for, values, strict=True),
+            *zip(self._made_for, astuple(pair.made_for), strict=True),
             (self._map.speed, pair.speed_rpm),
             (self._map.feed, pair.feed_mm_min),
             (self._map.valid_until, tenths / PER_SECOND),

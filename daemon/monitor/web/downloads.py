@@ -10,6 +10,7 @@ from typing import Any
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
+from daemon.monitor.web.live import when_gone
 from daemon.monitor.web.problems import ProblemError
 
 EXPORTER = (sys.executable, "-P", "-m", "daemon.model_release.exporting")
@@ -83,7 +84,7 @@ class _Download(Response):
         self._downloads, self._process, self._first = downloads, process, first
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        gone = asyncio.create_task(_gone(receive))
+        gone = asyncio.create_task(when_gone(receive))
         try:
             await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
             piece = self._first
@@ -104,8 +105,3 @@ class _Download(Response):
         finally:
             gone.cancel()
             await self._downloads.end(self._process)
-
-
-async def _gone(receive: Receive) -> None:
-    while (await receive())["type"] != "http.disconnect":
-        pass

@@ -102,7 +102,7 @@ class EventStream:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = [(b"content-type", b"text/event-stream; charset=utf-8"), (b"x-accel-buffering", b"no")]
         await send({"type": "http.response.start", "status": 200, "headers": headers})
-        gone = asyncio.create_task(_gone(receive))
+        gone = asyncio.create_task(when_gone(receive))
         self._live.joins(cycles=self._cycles)
         try:
             await self._send(send, f"retry: {RETRY_MS}\n\n".encode())
@@ -134,6 +134,6 @@ class EventStream:
         await send(message)
 
 
-async def _gone(receive: Receive) -> None:
+async def when_gone(receive: Receive) -> None:
     while (await receive())["type"] != "http.disconnect":
         pass
