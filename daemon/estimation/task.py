@@ -108,11 +108,9 @@ class ThermalTask:
 
     @property
     def latest(self) -> MachineTemperatures | None:
-        """Temperatures after the latest cycle of any line."""
         return self._cleansing.latest
 
     async def run(self) -> None:
-        """Serve the inbox for ever."""
         await self.begin()
         while True:
             item = await self.inbox.get()
@@ -135,7 +133,6 @@ class ThermalTask:
                 log.exception("thermal.defect")
 
     async def recall(self) -> None:
-        """Hold the first temperatures against those that the previous run accepted last."""
         degc, at_s, read = await asyncio.to_thread(self._past.last_accepted)
         degc[self._levels.anew], at_s[self._levels.anew] = np.nan, -np.inf
         self._cleansing.recall(degc, at_s, read)
