@@ -125,8 +125,7 @@ def off_um(tmp_path: Path, name: str, loop: Travelling) -> FloatArray:
     return found
 
 
-@pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize("kind", POSITION)
+@pytest.mark.parametrize(("kind", "name"), [*((kind, "increments") for kind in POSITION), ("none", "lagged")])
 def test_a_position_that_is_lost_holds_at_once_and_comes_back_to_where_the_twin_is(
     tmp_path: Path, kind: str, name: str
 ) -> None:

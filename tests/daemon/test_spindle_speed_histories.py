@@ -293,4 +293,4 @@ class Histories(RuleBasedStateMachine):
 
 
 TestHistories = Histories.TestCase
-TestHistories.settings = settings(max_examples=15, stateful_step_count=8, deadline=None)
+TestHistories.settings = settings(max_examples=8, stateful_step_count=8, deadline=None)

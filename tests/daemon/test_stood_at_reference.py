@@ -26,8 +26,7 @@ async def warming(task: Task, minutes: float, stands: Callable[[float], bool], b
         await task.cycle("column", 20.0 + scatter)
 
 
-@pytest.mark.parametrize("restarts", [False, True])
-@pytest.mark.parametrize("before_min", [4.0, 2.0, 0.0])
+@pytest.mark.parametrize(("before_min", "restarts"), [(4.0, False), (2.0, True), (0.0, False), (0.0, True)])
 def test_what_stood_when_the_work_was_positioned_holds_until_it_is_positioned_again(
     tmp_path: Path, before_min: float, restarts: bool
 ) -> None:

@@ -98,8 +98,7 @@ def one_after_the_other(*disturbances: Disturbance) -> Disturbance:
     return disturb
 
 
-def ahead_of_lags() -> LinearModel:
-    """A model to which a lag that was led astray is worth as much as a temperature."""
+def _ahead_of_lags() -> LinearModel:
     (vector,), (solution,) = MODEL.test_vectors, MODEL.solutions
     expected_um = (vector.features - vector.reference) @ CHANGES
     return replace(
@@ -109,12 +108,18 @@ def ahead_of_lags() -> LinearModel:
     )
 
 
+AHEAD_OF_LAGS = _ahead_of_lags()
+"""A model to which a lag that was led astray is worth as much as a temperature."""
+_twins: dict[tuple[object, ...], list[FloatArray]] = {}
+"""What the twin of a model, a warm-up, pauses and positionings applies in each moment [um]."""
+
+
 def run(
     directory: Path, disturbance: Disturbance, place: Place, moments: int, model: LinearModel = MODEL, **how: Any
 ) -> tuple[FloatArray, list[OutputState]]:
     """Return how far a loop is from its twin in every moment [um], and its states."""
-    loops = []
-    for name, bad, restarting in (("twin", None, False), ("loop", disturbance, True)):
+
+    def played(name: str, bad: Disturbance | None, count: int) -> TwinLoop:
         loop = TwinLoop(
             directory / name,
             model,
@@ -123,13 +128,17 @@ def run(
             disturbance=bad,
             before=BEFORE,
             reads_past=True,
-            restarting=restarting,
+            restarting=bad is not None,
             **how,
         )
-        asyncio.run(loop.run(moments))
-        loops.append(loop)
-    twin, loop = loops
-    return np.array(loop.applied_um) - np.array(twin.applied_um), loop.states
+        asyncio.run(loop.run(count))
+        return loop
+
+    key = (id(model), id(place), *sorted(how.items()))
+    if len(_twins.get(key, ())) < moments:
+        _twins[key] = played("twin", None, moments).applied_um
+    loop = played("loop", disturbance, moments)
+    return np.array(loop.applied_um) - np.array(_twins[key][:moments]), loop.states
 
 
 def test_a_sensor_that_lies_for_minutes_and_is_right_again_leaves_nothing_behind(tmp_path: Path) -> None:
@@ -171,7 +180,7 @@ def test_nor_does_it_over_a_restart(tmp_path: Path) -> None:
 
 def test_what_a_sensor_said_after_it_had_come_back_wrong_leaves_nothing_behind(tmp_path: Path) -> None:
     disturbance = comes_back_wrong(0, range(5, 25), 60, 56)
-    off_um, states = run(tmp_path, disturbance, PLACE, 90, ahead_of_lags())
+    off_um, states = run(tmp_path, disturbance, PLACE, 90, AHEAD_OF_LAGS)
     assert states[50] is OutputState.HOLD
     followed = np.array([state is OutputState.ACTIVE for state in states])
     assert followed[65:].all() and np.abs(off_um[65:]).max() <= 0.5
@@ -187,7 +196,7 @@ def test_what_a_sensor_said_after_it_had_come_back_wrong_leaves_nothing_behind(t
 )
 def test_nor_does_it_where_a_jump_comes_to_it(tmp_path: Path, spans: list[tuple[range, int | None]]) -> None:
     """The jump is no more to be told of the past before it left: what came between is left out."""
-    off_um, states = run(tmp_path, says(0, *spans), PLACE, 90, ahead_of_lags())
+    off_um, states = run(tmp_path, says(0, *spans), PLACE, 90, AHEAD_OF_LAGS)
     assert states[40] is OutputState.HOLD
     followed = np.array([state is OutputState.ACTIVE for state in states])
     assert followed[75:].all() and np.abs(off_um[75:]).max() <= 0.5
@@ -195,7 +204,7 @@ def test_nor_does_it_where_a_jump_comes_to_it(tmp_path: Path, spans: list[tuple[
 
 def test_nor_does_it_over_a_restart_while_it_is_wrong(tmp_path: Path) -> None:
     disturbance = comes_back_wrong(0, range(5, 25), 50, 56)
-    off_um, states = run(tmp_path, disturbance, PLACE, 130, ahead_of_lags(), pauses=(40,), positionings=(68,))
+    off_um, states = run(tmp_path, disturbance, PLACE, 130, AHEAD_OF_LAGS, pauses=(40,), positionings=(68,))
     assert states[-1] is OutputState.ACTIVE
     assert np.abs(off_um[80:] - off_um[80]).max() <= 0.5
 
@@ -247,7 +256,7 @@ def test_a_sensor_that_jumped_left_and_comes_back_as_it_was_is_followed_again_an
     tmp_path: Path, codes: int
 ) -> None:
     disturbance = wrong_until_it_leaves(0, range(5, 25), 40, codes)
-    off_um, states = run(tmp_path, disturbance, PLACE, 110, ahead_of_lags(), positionings=(60,))
+    off_um, states = run(tmp_path, disturbance, PLACE, 110, AHEAD_OF_LAGS, positionings=(60,))
     assert states[38] is OutputState.HOLD and states[52] is OutputState.ACTIVE
     assert np.abs(off_um[70:] - off_um[70]).max() <= 0.5
 
@@ -259,7 +268,7 @@ def test_a_sensor_that_stays_at_another_level_moves_nothing_after_the_work_is_po
 
 
 def test_a_line_that_answered_from_memory_moves_nothing_after_the_work_is_positioned(tmp_path: Path) -> None:
-    off_um, states = run(tmp_path, from_memory(5, 65), STEEP, 160, ahead_of_lags(), positionings=(85,))
+    off_um, states = run(tmp_path, from_memory(5, 65), STEEP, 160, AHEAD_OF_LAGS, positionings=(85,))
     assert states[60] is OutputState.HOLD and states[80] is OutputState.HOLD
     assert states[-1] is OutputState.ACTIVE
     assert np.abs(off_um[95:] - off_um[95]).max() <= WITHIN_UM
@@ -271,7 +280,7 @@ def test_a_line_that_answered_from_memory_moves_nothing_after_the_work_is_positi
 def test_nor_does_a_sensor_of_it_that_jumps_and_is_right_again(tmp_path: Path, wrong: range) -> None:
     """The other half of its jump is what was missed meanwhile: the past was told as wrong as that."""
     disturbance = one_after_the_other(says(0, (wrong, 56)), from_memory(10, 60))
-    off_um, states = run(tmp_path, disturbance, PLACE, 110, ahead_of_lags())
+    off_um, states = run(tmp_path, disturbance, PLACE, 110, AHEAD_OF_LAGS)
     assert states[55] is OutputState.HOLD
     assert states[-1] is OutputState.ACTIVE
     followed = np.array([state is OutputState.ACTIVE for state in states])

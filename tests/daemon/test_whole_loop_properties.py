@@ -361,6 +361,6 @@ class ShopThatRetreatsFirst(Shop):
 
 SOME = {"stateful_step_count": 14, "deadline": None, "suppress_health_check": list(HealthCheck)}
 TestShop = Shop.TestCase
-TestShop.settings = settings(max_examples=14, **SOME)
+TestShop.settings = settings(max_examples=8, **SOME)
 TestShopThatRetreatsFirst = ShopThatRetreatsFirst.TestCase
-TestShopThatRetreatsFirst.settings = settings(max_examples=5, **SOME)
+TestShopThatRetreatsFirst.settings = settings(max_examples=4, **SOME)
