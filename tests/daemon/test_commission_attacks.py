@@ -31,7 +31,13 @@ DIAMETER = Wiring(um_per_um={"x": {"x": 0.5}})
 SKEW = Wiring(um_per_um={"z": {"z": 1.0, "x": 0.5}})
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module", params=["opcua", "focas", "haas", "sinumerik"])
+on_every_control = pytest.mark.parametrize(
+    "served", ["opcua", "focas", "haas", "sinumerik"], indirect=True, scope="module"
+)
+"""What the wire or the text of the guard may do otherwise there."""
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module", params=["opcua"])
 async def served(tmp_path_factory, request):
     async with serving(tmp_path_factory.mktemp("attacks"), request.param) as bench:
         yield bench
@@ -90,6 +96,7 @@ async def test_swapped_axes_are_found_without_an_instrument_at_the_other(bench):
     assert bench.at_rest()
 
 
+@on_every_control
 async def test_a_reversed_sign_and_a_scale_are_recorded_only_when_a_person_accepts_them(bench):
     bench.reset(Wiring(um_per_um={"z": {"z": -2.0}}))
     both = {"accept_reversed": frozenset("z"), "accept_scale": frozenset("z")}
@@ -288,6 +295,7 @@ async def test_a_guard_that_makes_no_check_is_refused_before_anything_moves(benc
     assert "Nothing has been moved" in person.text_said and bench.at_rest()
 
 
+@on_every_control
 async def test_a_guard_without_memory_asks_for_its_initialise_program(bench):
     bench.reset(program=STOPPED)
     macros = bench.configuration().cnc.macros
@@ -308,6 +316,7 @@ async def test_a_guard_without_memory_asks_for_its_initialise_program(bench):
     assert bench.at_rest()
 
 
+@on_every_control
 async def test_a_guard_that_stops_being_called_with_an_offset_applied_is_left_and_said(bench):
     bench.reset(program=STOPPED)
     person = Obedient(bench)
@@ -336,6 +345,7 @@ async def test_a_reading_while_the_axis_is_not_where_it_was_asked_to_be_is_refus
 # --- links, signals, strangers ---------------------------------------------------------
 
 
+@on_every_control
 async def test_a_link_that_is_lost_in_the_middle_is_built_anew_to_go_back(bench):
     person, cuts = Person(bench), []
 
@@ -384,6 +394,7 @@ async def test_a_second_interrupt_leaves_the_machine_and_says_so(bench):
     assert bench.at_rest()
 
 
+@on_every_control
 async def test_a_second_writer_ends_everything_without_another_write(bench):
     person = Person(bench)
     number = bench.configuration().cnc.macros.values["z"]
@@ -394,6 +405,7 @@ async def test_a_second_writer_ends_everything_without_another_write(bench):
     assert bench.macro(number) == 0.025
 
 
+@on_every_control
 @pytest.mark.parametrize(
     ("happens", "words"),
     [
