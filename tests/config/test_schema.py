@@ -1,5 +1,6 @@
 """What the schema itself refuses, and at which key it says so."""
 
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,18 @@ from config.schema import Configuration
 from drivers.guard.programs import guard_program
 from drivers.guard.text import GuardTextError
 
+_SAMPLE = yaml.safe_load(sample_configuration())
+
+
+def sample() -> dict[str, Any]:
+    """Return the content of the sample, for a test to change."""
+    content: dict[str, Any] = deepcopy(_SAMPLE)
+    return content
+
 
 def changed(path: str, value: Any) -> str:
     """Return the sample with the value at a dotted path changed; numbers are list indices."""
-    content = yaml.safe_load(sample_configuration())
+    content = sample()
     target: Any = content
     *parents, last = path.split(".")
     for step in parents:
@@ -290,7 +299,7 @@ def test_tool_terms_that_cannot_work(change: dict[str, Any], key: str, sentence:
 
 
 def test_limits_that_move_the_machine_have_no_default() -> None:
-    content = yaml.safe_load(sample_configuration())
+    content = sample()
     content["compensation"]["axes"]["z"] = {"estimate": "Z1"}
     with pytest.raises(ConfigurationError) as refused:
         parse_yaml_model(yaml.safe_dump(content), Configuration, "f.yaml")
@@ -299,7 +308,7 @@ def test_limits_that_move_the_machine_have_no_default() -> None:
 
 
 def test_a_block_without_a_check_is_told_with_what_to_add(tmp_path: Path) -> None:
-    content = yaml.safe_load(sample_configuration())
+    content = sample()
     del content["cnc"]["macros"]["check"]
     path = tmp_path / "toolpoint.yaml"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
@@ -317,7 +326,7 @@ def test_reference_page_names_every_section() -> None:
 
 
 def test_a_range_of_sensors_stands_for_each_of_them_and_problems_name_the_written_line() -> None:
-    content = yaml.safe_load(sample_configuration())
+    content = sample()
     shared = {"id": "5-7", "component": "Bed", "part": "Left"}
     content["temperatures"]["sensors"][3:3] = [shared]
     content["temperatures"]["lines"][0]["chain"] = ["1-7"]

@@ -1,6 +1,7 @@
 """The tuning of the spindle speed on a CNC in this process that runs the shipped speed program."""
 
 import asyncio
+from copy import deepcopy
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from memory_cnc import MemoryNc
 from speed_machine import MACROS, bearing_model, speed_machine
 
 from config.schema import Configuration
-from daemon.model_release.bearings import open_planning
+from daemon.model_release.bearings import OpenedPlanning, open_planning
 from daemon.model_release.file_access import own_account
 from daemon.spindle_speed.messages import PlannedSpeed, Planner, PlanRequest
 from daemon.spindle_speed.output import SpindleSpeedOutput
@@ -25,14 +26,25 @@ CUT, SAFE = 200, 900
 CYCLE_S = 5
 
 
+_opened: dict[tuple[str, ...], OpenedPlanning] = {}
+"""What was read of a section, a model and cases, before anything was planned with it."""
+
+
 class ThreadPlanner:
     """What the planning process computes, in a thread of this one: a process for each of many rigs takes too long."""
 
     def __init__(self, configuration: Configuration) -> None:
-        assert configuration.spindle_speed is not None
-        found = open_planning(configuration, own_account())
-        self.inhibit = found.inhibit
-        self._planning = SpeedPlanning(found.operations, configuration.spindle_speed.sensor_step_k)
+        tuning = configuration.spindle_speed
+        assert tuning is not None
+        folder = tuning.thermomechanical_model.parent
+        texts = [
+            path.read_text("utf-8") for path in (tuning.thermomechanical_model, *(o.case for o in tuning.operations))
+        ]
+        key = (tuning.model_dump_json().replace(str(folder), ""), str(configuration.temperatures.labels), *texts)
+        if key not in _opened:
+            _opened[key] = open_planning(configuration, own_account())
+        self.inhibit = _opened[key].inhibit
+        self._planning = SpeedPlanning(deepcopy(_opened[key].operations), tuning.sensor_step_k)
 
     async def plan(self, request: PlanRequest) -> PlannedSpeed | None:
         return await asyncio.to_thread(self._planning.answer, request)
