@@ -97,9 +97,13 @@ async def test_no_order_of_what_reached_the_disk_is_a_fault(cut: Cut, file: str,
     assert bool(gaps) == unknown_to_audit, gaps
 
 
-@pytest.mark.parametrize("number", BLOCK)
-@pytest.mark.parametrize("audit", ["old", "new"])
-@pytest.mark.parametrize("file", ["old", "new", "torn", "absent"])
+@pytest.mark.parametrize(
+    ("file", "audit", "number"),
+    [
+        *(("old", "new", number) for number in BLOCK),
+        *((file, audit, 503) for file in ("old", "new", "torn", "absent") for audit in ("old", "new")),
+    ],
+)
 async def test_a_foreign_value_stays_a_fault(cut: Cut, file: str, audit: str, number: int) -> None:
     cut.restore(file=file, audit=audit, cnc=audit)
     held = cut.bench.nc.macros.get(number)
