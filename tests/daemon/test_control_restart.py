@@ -77,15 +77,6 @@ async def test_a_restart_keeps_the_baseline_of_the_second_reference(bench):
         assert rig.applied["z"] == pytest.approx(10.0, abs=0.11), "retreats to that reference's baseline"
 
 
-async def test_what_the_error_did_during_the_outage_is_made_good(bench):
-    await leave(bench)
-    bench.clock.monotonic_s += 30.0
-    async with running(bench.rig()) as rig:
-        await rig.turn()
-        await rig.follow(0.0, -14.0, 20)
-        assert rig.applied["z"] == pytest.approx(14.0, abs=0.11)
-
-
 async def test_an_estimate_right_after_the_restart_does_not_count_twice(bench):
     await leave(bench)
     async with running(bench.rig()) as rig:
@@ -165,18 +156,6 @@ async def test_a_reference_without_its_baseline_is_not_taken_up(bench):
         assert rig.applied["z"] == pytest.approx(10.0, abs=0.11)
 
 
-async def test_a_differing_read_back_is_acknowledged_before_the_next_poll(rig, bench):
-    await rig.active()
-    bench.nc.forgets = Z
-    await rig.turn(rig.estimate(0.0, -5.0))
-    bench.nc.forgets = None
-    rig.acknowledge("p")
-    await rig.control._guarded(rig.control._act(None))
-    await rig.control._guarded(rig.control._act(None))
-    await rig.follow(0.0, -5.0, 5)
-    assert rig.state == "ACTIVE"
-
-
 async def test_after_a_long_outage_the_output_holds_without_a_reference(bench):
     await leave(bench)
     bench.clock.monotonic_s += 2000.0
@@ -196,16 +175,6 @@ async def test_after_a_power_cycle_the_old_reference_is_not_taken_up(bench):
         assert rig.control.reference is None
         assert rig.state == "HOLD"
         assert rig.applied["z"] == pytest.approx(10.0, abs=0.11)
-
-
-async def test_a_foreign_value_written_during_the_outage_is_a_fault(bench):
-    await leave(bench)
-    bench.nc.macros.set(Z, 0.025)
-    bench.nc.written.clear()
-    async with running(bench.rig()) as rig:
-        await rig.turn()
-        await rig.follow(0.0, -20.0, 3)
-        assert rig.state == "FAULT" and bench.nc.written == []
 
 
 async def test_every_write_is_in_the_audit(bench):

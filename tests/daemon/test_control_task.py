@@ -127,15 +127,6 @@ async def test_without_a_model_nothing_is_enabled(bench):
         assert "no thermal model" in rig.control.request(OperatorRequest(enable=frozenset({"z"})), "p")
 
 
-async def test_a_disabled_axis_retreats_alone(rig):
-    await rig.active()
-    await rig.follow(-4.0, -6.0, 20)
-    assert rig.control.request(OperatorRequest(disable=frozenset({"y"})), "p") == ""
-    await rig.follow(-4.0, -6.0, 20)
-    assert rig.state == "ACTIVE"
-    assert rig.applied == pytest.approx({"x": 0.0, "y": 0.0, "z": 6.0}, abs=0.11)
-
-
 async def test_switching_off_retreats_and_then_writes_enable_0_once(rig, bench):
     await rig.active()
     await rig.follow(-4.0, -6.0, 20)
@@ -147,20 +138,6 @@ async def test_switching_off_retreats_and_then_writes_enable_0_once(rig, bench):
     bench.nc.written.clear()
     await rig.follow(-4.0, -6.0, 200)
     assert bench.nc.written == []
-
-
-async def test_zero_retreats_to_zero_and_not_to_the_baseline(rig):
-    await rig.active()
-    await rig.follow(-4.0, -8.0, 20)
-    rig.set_reference("r2")
-    await rig.follow(0.0, 0.0, 5)
-    rig.control.request(OperatorRequest(disable=frozenset({"y", "z"})), "p")
-    await rig.follow(0.0, 0.0, 20)
-    assert rig.applied["z"] == pytest.approx(8.0, abs=0.11), "the reference's baseline"
-    rig.control.request(OperatorRequest(zero=True), "p")
-    await rig.follow(0.0, 0.0, 30)
-    assert rig.applied["z"] == pytest.approx(0.0, abs=1e-6)
-    assert rig.state == "OFF"
 
 
 async def test_setting_a_reference_does_not_move_the_output(rig, bench):

@@ -14,6 +14,7 @@ from nc_requests import (
     ask,
     last_asked,
     requesting_bench,
+    zero_first,
 )
 
 from daemon.history import HistoryReader
@@ -242,18 +243,6 @@ async def test_a_tool_setting_without_a_reference_of_the_work_is_refused(rig, be
     assert answer(bench) == -1.0
 
 
-@pytest.mark.parametrize(("kind", "axis", "words"), [(7, 0, "kind 7"), (REFERENCE, 9, "axis 9")])
-async def test_an_unknown_request_is_refused_in_words(rig, bench, kind, axis, words):
-    await rig.active()
-    ask(bench, 1, kind, axis)
-    await rig.turn()
-    await rig.turn()
-    assert answer(bench) == -1.0
-    await rig.history.flushed()
-    with HistoryReader(rig.history.path) as reader:
-        assert any(words in event.text for event in reader.events(0.0, 2.0**40))
-
-
 async def test_requests_that_were_never_seen_end_the_reference(rig, bench):
     await rig.active()
     ask(bench, 3, TOOL_CHANGE, 0, 1.0)
@@ -272,15 +261,6 @@ async def test_a_program_that_gives_up_waiting_has_no_reference(rig, bench):
     assert answer(bench) == 0.0
 
 
-async def test_a_request_from_before_the_start_is_refused(bench):
-    ask(bench, 5, REFERENCE)
-    async with running(bench.rig()) as rig:
-        await rig.turn()
-        await rig.turn()
-        assert answer(bench) == -5.0
-        assert not rig.asked
-
-
 async def test_a_reference_is_not_taken_up_when_the_program_asked_for_something_meanwhile(bench):
     async with running(bench.rig()) as rig:
         await rig.active()
@@ -290,16 +270,6 @@ async def test_a_reference_is_not_taken_up_when_the_program_asked_for_something_
         await rig.turn()
         assert rig.control.reference is None
         assert any("while the daemon was away" in notice for notice in rig.control.journal.notices)
-
-
-async def test_no_answer_in_a_fault(rig, bench):
-    await rig.active()
-    bench.nc.macros.set(Z, 0.002)
-    ask(bench, 1, TOOL_CHANGE, 0, 2.0)
-    await rig.turn()
-    await rig.turn()
-    assert rig.state == "FAULT"
-    assert answer(bench) == 0.0, "in FAULT nothing is written"
 
 
 async def test_the_answer_is_audited_with_intent_and_outcome_and_does_not_hide_the_block(bench):
@@ -373,16 +343,6 @@ async def test_a_clock_that_went_on_too_little_while_the_daemon_was_away_is_a_po
         assert any("switched off and on" in notice for notice in rig.control.journal.notices)
 
 
-def zero_first(bench):
-    """Let the offset be taken out at a retreat block before the work is positioned."""
-    reference = bench.configuration.compensation.reference.model_copy(
-        update={"policy": "zero_first", "retreat_sequence_numbers": [50]}
-    )
-    compensation = bench.configuration.compensation.model_copy(update={"reference": reference})
-    bench.configuration = bench.configuration.model_copy(update={"compensation": compensation})
-    return bench
-
-
 async def test_zero_first_takes_the_offset_out_at_the_retreat_block_and_refuses_a_reference_before(tmp_path):
     bench = zero_first(Bench(tmp_path))
     async with running(bench.rig()) as rig:
@@ -439,18 +399,6 @@ async def test_a_reference_that_has_ended_never_comes_back_by_a_sensor_that_retu
     rig.control.deliver(ReferenceRebased(reference=ended))
     await rig.turn()
     assert rig.control.reference is None and rig.state == "HOLD"
-
-
-async def test_a_reference_that_comes_after_its_work_offset_was_left_is_refused(rig, bench):
-    await rig.turn()
-    asked_at = 54
-    bench.nc.work_offset = 55
-    await rig.turn()
-    bench.nc.work_offset = asked_at
-    rig.set_reference("late")
-    bench.nc.work_offset = 55
-    await rig.turn()
-    assert rig.control.reference is None
 
 
 async def test_a_reference_by_hand_that_is_refused_while_a_probe_waits_for_its_step_has_no_part_in_it(tmp_path):

@@ -1,23 +1,19 @@
 """Requests and references when something goes wrong between the poll, the step and the answer."""
 
-import numpy as np
 import pytest
 from control_rig import Bench, running
 from nc_requests import (
     ACKNOWLEDGE,
-    KIND,
     PROBE,
-    REFERENCE,
     TOOL_CHANGE,
     Z_AXIS,
     answer,
     ask,
-    last_asked,
     requesting_bench,
+    zero_first,
 )
 
 from daemon.history import HistoryReader
-from models.records import Reference
 
 
 @pytest.fixture
@@ -31,18 +27,8 @@ async def rig(bench):
         yield rig
 
 
-async def zero_first_rig(tmp_path):
-    bench = Bench(tmp_path)
-    reference = bench.configuration.compensation.reference.model_copy(
-        update={"policy": "zero_first", "retreat_sequence_numbers": [50]}
-    )
-    compensation = bench.configuration.compensation.model_copy(update={"reference": reference})
-    bench.configuration = bench.configuration.model_copy(update={"compensation": compensation})
-    return bench
-
-
 async def test_a_retreat_block_takes_the_offset_out_also_when_the_reference_has_ended_before(tmp_path):
-    bench = await zero_first_rig(tmp_path)
+    bench = zero_first(Bench(tmp_path))
     async with running(bench.rig()) as rig:
         await rig.active()
         await rig.follow(0.0, -8.0, 40)
@@ -55,34 +41,6 @@ async def test_a_retreat_block_takes_the_offset_out_also_when_the_reference_has_
         for _ in range(40):
             await rig.turn()
         assert rig.state == "OFF" and rig.applied["z"] == pytest.approx(0.0)
-
-
-async def test_a_reference_that_comes_after_the_program_gave_up_is_refused(rig, bench):
-    await rig.active()
-    ask(bench, 1, REFERENCE)
-    await rig.turn()
-    late = last_asked(rig).reference_id
-    bench.nc.macros.set(KIND, 0.0)
-    await rig.turn()
-    deliver_unasked(rig, late)
-    await rig.turn()
-    assert rig.control.reference is None
-
-
-def deliver_unasked(rig, reference_id):
-    """A reference arrives that nobody waits for."""
-    rig.set_reference(reference_id + "x")
-    rig.control._references.end("the test takes it away again")
-    item = Reference(
-        reference_id=reference_id,
-        time=rig.clock.now(),
-        source="late",
-        degc=np.full(5, 20.0),
-        program=rig.nc.program,
-        work_offset=rig.nc.work_offset,
-        power_on_count=rig.nc.power_on_count,
-    )
-    rig.control.deliver(item)
 
 
 async def test_the_gap_rule_is_waived_only_for_a_reference_that_the_handshake_set(rig, bench):

@@ -20,6 +20,16 @@ def requesting_bench(directory: Path) -> Bench:
     return bench
 
 
+def zero_first(bench: Bench) -> Bench:
+    """Let the offset be taken out at a retreat block before the work is positioned."""
+    reference = bench.configuration.compensation.reference.model_copy(
+        update={"policy": "zero_first", "retreat_sequence_numbers": [50]}
+    )
+    compensation = bench.configuration.compensation.model_copy(update={"reference": reference})
+    bench.configuration = bench.configuration.model_copy(update={"compensation": compensation})
+    return bench
+
+
 def ask(bench: Bench, counter: int, kind: int, axis: int = 0, value_mm: float = 0.0) -> None:
     """Write a request, the counter last."""
     for number, value in ((KIND, kind), (AXIS, axis), (VALUE, value_mm), (COUNTER, counter)):
