@@ -31,7 +31,7 @@ from models.thermal.training.making import Fitted
 from models.thermal.training.recipes import RECIPES, Recipe
 from models.thermal.training.train_family import train_family
 
-MINUTES = 360
+MINUTES = 180
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
