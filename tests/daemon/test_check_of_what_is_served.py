@@ -43,8 +43,12 @@ def test_what_can_be_used_is_found_good_and_a_credential_is_the_services_own_aff
     assert status == 0 and "monitor-key is handed to the service" in output
 
 
-@pytest.mark.parametrize("name", ["monitor.crt", "monitor.key", "users", "tags.der", "tags.pem", "trusted/plc.der"])
-@pytest.mark.parametrize("damage", ["half", "folder"])
+SERVED = ("monitor.crt", "monitor.key", "users", "tags.der", "tags.pem", "trusted/plc.der")
+
+
+@pytest.mark.parametrize(
+    ("name", "damage"), [*((name, "half") for name in SERVED), ("monitor.crt", "folder"), ("users", "folder")]
+)
 def test_what_is_damaged_is_named(folder: Path, name: str, damage: str) -> None:
     path = folder / name
     content = path.read_bytes() if path.exists() else b"no certificate"
