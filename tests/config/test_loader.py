@@ -71,10 +71,7 @@ def problems(text: str, model: type[Section] = Whole) -> list[str]:
             "title: x\nnamed:\n  first:\n    count: 3",
             ["f.yaml:3:3: named.first.name: this key is required and missing: what it is called"],
         ),
-        (
-            "title: x\nparts: {a: 1}",
-            ["f.yaml:2:1: parts: this must be a list, not keys with values"],
-        ),
+        ("title: x\nparts: {a: 1}", ["f.yaml:2:1: parts: this must be a list, not keys with values"]),
         ("title: x\nnumbers: [1.5]", ["f.yaml:2:11: numbers[0]: this must be a whole number or text, not 1.5"]),
         ("title:", ["f.yaml:1:7: title: this must be text, not nothing"]),
         ("title: !!str 5", ["f.yaml:1:8: the tag !!str is refused; write the plain value, in quotes if it is text"]),

@@ -86,10 +86,7 @@ def test_json_schema_accepts_what_the_loader_accepts() -> None:
     broken = yaml.safe_load(sample_configuration())
     broken["cnc"]["maccros"] = {}
     broken["compensation"]["axes"]["z"]["step_um"] = -1
-    assert {error.json_path for error in validator.iter_errors(broken)} == {
-        "$.cnc",
-        "$.compensation.axes.z.step_um",
-    }
+    assert {error.json_path for error in validator.iter_errors(broken)} == {"$.cnc", "$.compensation.axes.z.step_um"}
 
 
 def test_commands_print_sample_machine_and_schema(tmp_path: Path) -> None:

@@ -108,8 +108,7 @@ async def test_a_reversed_sign_and_a_scale_are_recorded_only_when_a_person_accep
 
 
 @pytest.mark.parametrize(
-    ("before", "words"),
-    [((1, 1.0), "axis z, so it counts no more"), ((-1, 1.0), None), ((1, 2.0), "counts no more")],
+    ("before", "words"), [((1, 1.0), "axis z, so it counts no more"), ((-1, 1.0), None), ((1, 2.0), "counts no more")]
 )
 async def test_a_record_of_before_that_the_machine_disproves_counts_no_more(bench, before, words):
     """The person gives up, and the next one switches on: a daemon with that record would double the error."""
@@ -242,11 +241,7 @@ async def test_a_displacement_channel_reads_unless_it_is_noisy(bench, tmp_path, 
     path = tmp_path / "logger.csv"
     writing = asyncio.create_task(log_rows(bench, path, noise_um, late_rows))
     await bench.clock.sleep(4.0)
-    work = {
-        "axes": ("z",),
-        "sources": Sources(channels={"z": "Z1", "y": "Y1"}, samples=8),
-        "change": with_log(path),
-    }
+    work = {"axes": ("z",), "sources": Sources(channels={"z": "Z1", "y": "Y1"}, samples=8), "change": with_log(path)}
     person = Person(bench)
     person.eyes = lambda axis: None
     try:

@@ -6,17 +6,7 @@ from dataclasses import replace
 import pytest
 import structlog
 from click.testing import CliRunner
-from control_rig import (
-    BLOCK,
-    ENABLE,
-    SEQUENCE_A,
-    SEQUENCE_B,
-    Bench,
-    Y,
-    Z,
-    record_for,
-    running,
-)
+from control_rig import BLOCK, ENABLE, SEQUENCE_A, SEQUENCE_B, Bench, Y, Z, record_for, running
 
 from daemon.cli import main
 from daemon.history import HistoryReader

@@ -4,12 +4,7 @@ import json
 from dataclasses import replace
 
 import pytest
-from control_rig import (
-    Bench,
-    Z,
-    record_for,
-    running,
-)
+from control_rig import Bench, Z, record_for, running
 from wires import EVER, check_audit
 
 from config.records.commissioning import CommissionedAxis

@@ -6,19 +6,7 @@ from contextlib import asynccontextmanager
 
 import numpy as np
 import pytest
-from control_rig import (
-    BLOCK,
-    ENABLE,
-    SEQUENCE_A,
-    SEQUENCE_B,
-    VALID_UNTIL,
-    Bench,
-    Rig,
-    Z,
-    machine,
-    record_for,
-    running,
-)
+from control_rig import BLOCK, ENABLE, SEQUENCE_A, SEQUENCE_B, VALID_UNTIL, Bench, Rig, Z, machine, record_for, running
 from memory_cnc import MemoryNc
 
 from daemon.messages import ReferenceRebased, ReferenceRefused, ReferenceRequest

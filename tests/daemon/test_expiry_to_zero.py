@@ -15,9 +15,7 @@ def zero_bench(directory: Path) -> Bench:
     bench = Bench(directory)
     configuration = bench.configuration
     axes = configuration.compensation.axes
-    cnc = configuration.cnc.model_copy(
-        update={"guard": simulated_guard(axes).model_copy(update={"on_expiry": "zero"})},
-    )
+    cnc = configuration.cnc.model_copy(update={"guard": simulated_guard(axes).model_copy(update={"on_expiry": "zero"})})
     # work lies so long at its positioning that none is missed while the computer stalls
     lasting = configuration.compensation.reference.model_copy(update={"positioning_dwell_s": 600.0})
     compensation = configuration.compensation.model_copy(update={"reference": lasting})

@@ -235,10 +235,7 @@ def test_a_damaged_page_is_a_sentence_with_what_to_do(tmp_path: Path, table: str
     with path.open("r+b") as file:
         file.seek((page - 1) * size)
         file.write(b"\xff" * size)
-    with (
-        pytest.raises(HistoryError, match=r"the store is damaged .*restore a back-up"),
-        HistoryReader(path) as reader,
-    ):
+    with pytest.raises(HistoryError, match=r"the store is damaged .*restore a back-up"), HistoryReader(path) as reader:
         reader.writes(0.0, 1e11)
         reader.temperatures(None, 0.0, 1e11)
 

@@ -22,15 +22,7 @@ from daemon.simulation.replaying import not_enabled
 from daemon.telemetry.metrics import Telemetry
 from models.quality import Quality, Reason
 from models.recordings.dataset import Recording
-from models.records import (
-    CncMode,
-    CncRun,
-    CncSample,
-    Reference,
-    TemperatureCycle,
-    ThermalErrorEstimate,
-    Trace,
-)
+from models.records import CncMode, CncRun, CncSample, Reference, TemperatureCycle, ThermalErrorEstimate, Trace
 from models.thermal.estimation import Machine, OnlineReference
 from models.thermal.features import Layout
 from models.thermal.training.train_family import train_family
@@ -108,10 +100,7 @@ def with_nodes(configuration, **opcua):
 
 def test_a_model_with_speed_is_not_released_where_no_speed_is_read(tmp_path, model, model_with_speed):
     reads = machine(tmp_path)
-    for mute in (
-        with_nodes(reads, preset="generic"),
-        with_nodes(reads, nodes=OpcUaNodesConfig(spindle_speed=NO_NODE)),
-    ):
+    for mute in (with_nodes(reads, preset="generic"), with_nodes(reads, nodes=OpcUaNodesConfig(spindle_speed=NO_NODE))):
         why = unfit(model_with_speed, mute)
         assert "spindle speed, which is not read from this control" in why and "nodes.spindle_speed" in why
         assert gate_inhibit(replace(model_with_speed, refused=None), mute) == why

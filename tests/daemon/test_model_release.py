@@ -15,13 +15,7 @@ from small_model import model
 from config.schema.compensation import ReleaseConfig
 from daemon.model_release.file_access import Account, account_of_daemon, how_it_could_change, own_account
 from daemon.model_release.loading import load_released
-from daemon.model_release.releasing import (
-    person_now,
-    proposals,
-    release,
-    repository_of,
-    rollback,
-)
+from daemon.model_release.releasing import person_now, proposals, release, repository_of, rollback
 from daemon.model_release.repository import ReleaseError
 from daemon.model_release.retraining import propose
 from models.thermal.linear import LinearModel
@@ -233,12 +227,7 @@ def one_channel() -> LinearModel:
     vectors = tuple(replace(v, thermal_error_um=v.thermal_error_um[:1]) for v in full.test_vectors)
     one = replace(full.solutions[0], weights=full.solutions[0].weights[:, :1].copy())
     return replace(
-        full,
-        channels=("Y1",),
-        solutions=(one,),
-        drift_um_per_min=np.zeros(1),
-        band_um=np.ones(1),
-        test_vectors=vectors,
+        full, channels=("Y1",), solutions=(one,), drift_um_per_min=np.zeros(1), band_um=np.ones(1), test_vectors=vectors
     )
 
 

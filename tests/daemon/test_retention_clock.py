@@ -93,8 +93,7 @@ async def test_a_machine_that_was_off_for_three_weeks_keeps_its_history_for_so_m
 
 
 @pytest.mark.parametrize(
-    ("shifts", "most_h"),
-    [(range(0, 60 * 24, 24), 16), ([24 * day for day in range(60) if day % 7 < 5], 64 + 16)],
+    ("shifts", "most_h"), [(range(0, 60 * 24, 24), 16), ([24 * day for day in range(60) if day % 7 < 5], 64 + 16)]
 )
 async def test_nights_and_weekends_hold_nothing_up(tmp_path: Path, shifts: range | list[int], most_h: int) -> None:
     """A shift of eight hours a day: what is doubted stays a few days."""

@@ -165,11 +165,7 @@ def test_every_stream_makes_metrics_with_units_and_times(tmp_path: Path) -> None
 
 def test_a_rejected_temperature_is_told_as_bad() -> None:
     stream = STREAMS["temperatures"]
-    row = dict.fromkeys(stream.columns, 0) | {
-        "sensor_ids": [1, 2, 3],
-        "degc": [20.5, 99.0, None],
-        "quality": [0, 1, 2],
-    }
+    row = dict.fromkeys(stream.columns, 0) | {"sensor_ids": [1, 2, 3], "degc": [20.5, 99.0, None], "quality": [0, 1, 2]}
     good, held, none = row_metrics(stream, tuple(row[name] for name in stream.columns))
     assert "Quality" not in good.properties and held.properties["Quality"] == 0 and none.properties["Quality"] == 500
     assert none.value is None

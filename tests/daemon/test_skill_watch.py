@@ -5,13 +5,7 @@ import pytest
 from control_rig import Bench, running
 
 from config.schema.displacements import DisplacementsConfig
-from daemon.compensation.skill_monitor import (
-    LEAST_PAIRS,
-    MOST_PAIRS,
-    SkillRecord,
-    does_harm,
-    with_measurement,
-)
+from daemon.compensation.skill_monitor import LEAST_PAIRS, MOST_PAIRS, SkillRecord, does_harm, with_measurement
 from daemon.history.reader import HistoryReader
 from models.records import DisplacementSample
 

@@ -51,10 +51,7 @@ def axes_of(content: dict[str, Any]) -> dict[str, Any]:
         (lambda c: axes_of(c)["z_slope"]["slope"].update(travel_mm=[500.0, 0.0]), "the lowest position comes first"),
         (lambda c: c["cnc"]["guard"]["axes"].update(z_slope={"letter": "Z", "number": 3}), "a slope acts on the axis"),
         (
-            lambda c: (
-                c["cnc"].update(guard={}, driver="haas", haas={"host": "127.0.0.1"}),
-                c["cnc"].pop("opcua"),
-            ),
+            lambda c: (c["cnc"].update(guard={}, driver="haas", haas={"host": "127.0.0.1"}), c["cnc"].pop("opcua")),
             "only a SINUMERIK, a FANUC and LinuxCNC take a slope",
         ),
         (

@@ -7,11 +7,7 @@ from prometheus_client import generate_latest
 
 from daemon.telemetry.latency import LineTiming
 from daemon.telemetry.metrics import LOG_PERIOD_S, Telemetry
-from models.records import (
-    Instant,
-    TemperatureCycle,
-    Trace,
-)
+from models.records import Instant, TemperatureCycle, Trace
 
 
 def at(machine_s, real_s):

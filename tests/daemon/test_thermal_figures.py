@@ -60,11 +60,7 @@ def make_campaign(folder: Path) -> Path:
             }
         )
     hours = np.array([0.0, 0.5, 30.0])
-    write_recording(
-        folder / "overview.csv",
-        {},
-        {"time_h": (hours, 3), "rpm": (hours, 0), "Room": (20.0 + hours, 2)},
-    )
+    write_recording(folder / "overview.csv", {}, {"time_h": (hours, 3), "rpm": (hours, 0), "Room": (20.0 + hours, 2)})
     index = {
         "version": 1,
         "name": "small",

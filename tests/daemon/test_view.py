@@ -108,12 +108,7 @@ def test_before_anything_is_known_it_renders_too(width):
         "reference": None,
         "temperatures": None,
         "cnc": None,
-        "latency_s": {
-            "measurement": unknown,
-            "feedback": unknown,
-            "total": unknown,
-            "published": PUBLISHED_DELAY_S,
-        },
+        "latency_s": {"measurement": unknown, "feedback": unknown, "total": unknown, "published": PUBLISHED_DELAY_S},
     }
     text = shown(status_view(picture), width)
     assert "reference" in text and "–" in text
