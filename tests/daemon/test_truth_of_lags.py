@@ -233,7 +233,7 @@ def test_nor_does_it_where_a_back_up_is_restored(tmp_path: Path) -> None:
     twin, loop = (
         Restored(
             tmp_path / name,
-            ahead_of_lags(),
+            AHEAD_OF_LAGS,
             PLACE,
             "checked",
             disturbance=bad,
