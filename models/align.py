@@ -14,9 +14,13 @@ SPARE_ROWS = 32
 class RollingMean:
     """Mean of each sensor over the last `window_s` seconds, missing values left out.
 
-    The on-line input of a model is filtered as its training input was. Vectors may arrive slightly out of order,
-    because lines that overlap complete in another order than they begin; a clock that went back by more than the window
-    starts anew.
+    The on-line input of a model is filtered as its training input was (one-minute means). Vectors
+    may arrive slightly out of order, because lines that overlap complete in another order than
+    they begin; a clock that went back by more than the window starts the mean anew.
+
+    Raises ValueError when the window is not positive.
+
+    `window_s`: length of the window [s].
     """
 
     def __init__(self, window_s: float) -> None:
@@ -30,7 +34,12 @@ class RollingMean:
         self._newest_s = -np.inf
 
     def add(self, time_s: float, values: FloatArray) -> None:
-        """Take one vector, NaN where a sensor has no value; raises ValueError at a wrong time or size."""
+        """Take one vector into the mean.
+
+        Raises ValueError when the time is not finite or the number of sensors changes.
+
+        `time_s`: its time [s]. `values`, shape (n_sensors,): NaN where a sensor has no value.
+        """
         if not math.isfinite(time_s):
             raise ValueError(f"time_s must be finite, got {time_s}")
         if self._times_s and values.shape != self._rows.shape[1:]:
@@ -71,7 +80,10 @@ class RollingMean:
         self._rows, self._first = rows, 0
 
     def mean(self) -> FloatArray:
-        """Return the mean per sensor, NaN where there is no value; raises ValueError before the first vector."""
+        """Return the mean per sensor, shape (n_sensors,); NaN where the window holds no value.
+
+        Raises ValueError before the first vector.
+        """
         if not self._times_s:
             raise ValueError("no vector has been added yet")
         return _mean_of_known(self._rows[self._first : self._first + len(self._times_s)])

@@ -1,6 +1,8 @@
 """Which measured temperatures count: a change is bounded, and what is above the noise counts once readings agree.
 
-One corrupt frame must not move anything, whenever it comes, and a rejected level cannot latch for ever either.
+One corrupt frame must not move anything, whenever it comes: a first value, and a change above the
+noise, after a gap too, count only after further readings agree with them. A rejected level cannot
+latch for ever either: it counts once enough readings agree.
 """
 
 from dataclasses import dataclass, replace
@@ -106,7 +108,12 @@ class CleansingResult:
 def initial_state(
     sensor_count: int, accepted_degc: FloatArray | None = None, accepted_at_s: FloatArray | None = None
 ) -> CleansingState:
-    """Return the state before the first cycle, with what a previous run accepted last, NaN where nothing."""
+    """Return the state before the first cycle of a machine with `sensor_count` sensors.
+
+    `sensor_count`: number of the machine's sensors. `accepted_degc`, `accepted_at_s`, shape (n_sensors,), optional:
+    what a previous run accepted last [degC], NaN where nothing, and when [s]: the past that first values are held
+    against.
+    """
     degc = np.full(sensor_count, np.nan) if accepted_degc is None else np.array(accepted_degc, dtype=np.float64)
     at_s = np.full(sensor_count, -np.inf) if accepted_at_s is None else np.array(accepted_at_s, dtype=np.float64)
     return CleansingState(
@@ -118,7 +125,12 @@ def initial_state(
 
 
 def age_s(state: CleansingState, now_s: float) -> FloatArray:
-    """Return the time since each sensor's last accepted value [s]; inf where no value was ever accepted."""
+    """Return the time since each sensor's last accepted value.
+
+    Result: of shape (n_sensors,): age [s]; inf where no value was ever accepted.
+
+    `state`: state after the last cycle. `now_s`: time on the clock of the cycles [s].
+    """
     return np.maximum(now_s - state.accepted_at_s, 0.0)
 
 
@@ -151,7 +163,28 @@ def cleanse_cycle(
 
     Meanwhile the last accepted value is held until it is too old, and then missing.
 
-    `indices`: place of each value in the machine's sensor order. A value that is not GOOD is not looked at.
+    Parameters
+    ----------
+    rules
+        What is accepted.
+    state
+        State after the previous cycle of any line.
+    indices : shape (n,)
+        Place of each value of the cycle in the machine's sensor order, each at most once.
+    measured_degc : shape (n,)
+        Measured temperatures [degC], NaN where none.
+    quality, reason : shape (n,)
+        Codes of the driver; a value that is not GOOD is not looked at.
+    now_s
+        Time of the cycle [s].
+    cycle_period_s
+        Time from one cycle of this line to the next [s].
+
+    Returns
+    -------
+    CleansingResult
+        The new state, and values, quality and reason in the order of `indices`.
+
     """
     if (usual := _all_near(rules, state, indices, measured_degc, quality, now_s)) is not None:
         return usual
@@ -257,7 +290,10 @@ def _count_agreeing(
     waits: npt.NDArray[np.bool_],
     returning: npt.NDArray[np.bool_],
 ) -> tuple[FloatArray, IntArray, npt.NDArray[np.bool_]]:
-    """Extend, or begin anew, the run of samples that agree and do not count yet, and say which go on (`_goes_on`)."""
+    """Extend, or begin anew, the run of samples that agree and do not count yet; other sensors keep theirs.
+
+    Result: also which samples go on in a line, see `_goes_on`.
+    """
     straight = waits & ~returning & _goes_on(rules, state, indices, measured_degc)
     before_degc, before_count = state.waiting_degc[indices], state.waiting_count[indices]
     agrees = (before_count > 0) & (np.abs(measured_degc - before_degc) <= rules.agree_within_degc) | straight

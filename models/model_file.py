@@ -113,7 +113,11 @@ def compact(value: Any) -> str:
 
 
 def file_text(family: str, record: object) -> str:
-    """Return the text of a record's file for the reader of its `family`: a key per line, and a checksum of it."""
+    """Return the text of the file of a record: one key per line, and a checksum of all that stands before it.
+
+    `family`: name of the family in whose registry its reader stands. `record`: a dataclass whose arrays are `Numbers`
+    or `Packed`.
+    """
     fields: dict[str, Any] = TypeAdapter(type(record)).dump_python(record)
     fields = {key: value for key, value in fields.items() if value or key not in UNSAID_WHEN_EMPTY}
     lines = ",\n".join(f'"{key}": {compact(value)}' for key, value in fields.items())
@@ -122,7 +126,10 @@ def file_text(family: str, record: object) -> str:
 
 
 def family_of(content: bytes) -> str | None:
-    """Return the family that a file's header names, None without such a header; raises ModelError by its checksum."""
+    """Return the family that a file's header names; None where there is no such header.
+
+    Raises ModelError when the checksum does not fit what stands before it.
+    """
     header = HEADER.match(content)
     if header is None:
         return None
@@ -135,7 +142,10 @@ def family_of(content: bytes) -> str | None:
 
 
 def record_of(content: bytes, record: type[Record]) -> Record:
-    """Return the record that a file with a header holds; raises ModelError naming the key. See `family_of`."""
+    """Return the record that a file with a header holds; its checksum is `family_of`'s business.
+
+    Raises ModelError naming the key: missing or unknown, of another type or shape, or refused by the record itself.
+    """
     try:
         return WithHeader[record].model_validate_json(content).model  # type: ignore[valid-type]
     except ValidationError as error:
@@ -187,7 +197,11 @@ def text_of_file(content: dict[str, Any]) -> str:
 
 
 def unsigned(content: dict[str, Any], made_by: str) -> dict[str, Any]:
-    """Return the content of a file without a header, without its checksum; raises ModelError when that differs."""
+    """Return the content of a file without a header, without its checksum; raises ModelError when that differs.
+
+    `content`: as `parse` gave it. `made_by`: what made the file, and would have to make it again: `training`, `the
+    fit`.
+    """
     if "sha256" not in content:
         raise ModelError("sha256", "is missing")
     bare = {key: value for key, value in content.items() if key != "sha256"}

@@ -1,9 +1,10 @@
 """Whether a sensor that returns counts on from its own past, or from where its neighbours let it be expected.
 
-One that its own past explains counts as before. One at another level is another sensor, or wrong: its distance is taken
-off from then on (`shift_k`), and undone when it jumps back. Where neither past nor neighbours prove a level,
-`uncertainty_k` says by how much it may be wrong until the next reference. `jumps` says which have jumped although heard
-all the time.
+A sensor that was away is expected to have gone on as before, but for what those beside it did otherwise. One that
+its own past explains counts as before. One at another level is another sensor, or it is wrong: its distance is taken
+off from then on (`shift_k`), and when it jumps back the shift is undone. Where neither past nor neighbours prove a
+level, `uncertainty_k` says by how much it may be wrong until the next reference. `jumps` says which sensors have jumped
+although they were heard all the time: what remembers the past is to remember it at their level of now.
 """
 
 from collections.abc import Mapping
@@ -149,7 +150,11 @@ def doubted(levels: SensorLevels) -> BoolArray:
 
 
 def renewed_levels(levels: SensorLevels, group: GroupArray, seen: BelievedValues) -> SensorLevels:
-    """Return the levels after a cycle; `group`: number of each sensor's component; `seen`: what is believed of it."""
+    """Return the levels after a cycle.
+
+    `group`, shape (n_sensors,): number of the component of each sensor of the machine. `seen`: what is believed of the
+    cycle.
+    """
     believed = np.isfinite(seen.degc)
     degc = np.where(seen.stale, np.nan, levels.degc)
     degc[seen.indices[believed]] = seen.degc[believed] - levels.shift_k[seen.indices[believed]]
@@ -222,7 +227,10 @@ def gone_on(before: SensorLevels, now: SensorLevels, since_s: float) -> SensorLe
 
 
 def jumped_k(before: SensorLevels, now: SensorLevels) -> FloatArray | None:
-    """Return by how much sensors have jumped from one cycle to the next [K], shape (n_sensors,); None: nowhere."""
+    """Return by how much sensors have jumped from one cycle to the next [K], shape (n_sensors,); None where none has.
+
+    `before`, `now`: levels before and after a cycle.
+    """
     if now.jumps is before.jumps:
         return None
     jump_k = np.zeros(len(now.shift_k))
@@ -232,7 +240,10 @@ def jumped_k(before: SensorLevels, now: SensorLevels) -> FloatArray | None:
 
 
 def undone(before: SensorLevels, now: SensorLevels) -> list[int]:
-    """Return the indices of sensors that are themselves again, and were not since they had last come back."""
+    """Return the indices of sensors that are themselves again, and were not since they had last come back.
+
+    `before`, `now`: levels before and after a cycle.
+    """
     return [] if now.gaps is before.gaps else [i for *_, of in set(now.gaps).difference(before.gaps) for i in of]
 
 
@@ -341,7 +352,10 @@ def _common_k(then: Left, line: GroupArray, degc: FloatArray, now_s: float) -> f
 def _departure(
     index: int, then: Left, group: GroupArray, others_degc: FloatArray, own_degc: float, now_s: float
 ) -> tuple[float, float, float]:
-    """Return how far a sensor is from where it is expected, how far its neighbours are, and how near is near [K]."""
+    """Return how far a sensor is from where it is expected, how far those beside it are, and how near is near [K].
+
+    `others_degc`: of those that may explain it, NaN for the rest.
+    """
     away_min = (now_s - then.at_s) / 60.0
     expected_degc = _expected_degc(then, now_s)
     change_k = others_degc - expected_degc

@@ -55,7 +55,10 @@ class StandingInput:
 
 
 def renewed_input(before: StandingInput, degc: FloatArray, now_s: float) -> StandingInput:
-    """Return what is known of an input after a reading [degC], NaN where there is none, at a time [s]."""
+    """Return what is known of an input after a reading.
+
+    `degc`, shape (n_sensors,): numbers as read [degC], NaN where there is none. `now_s`: time of the reading [s].
+    """
     told = np.isfinite(degc)
     both = told & np.isfinite(before.degc)
     latest = np.where(told, degc, before.degc)

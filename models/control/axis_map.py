@@ -32,13 +32,24 @@ class AxisSource:
 
 
 def tool_expansion_um(term: ToolTerm, label_increment_degc: Mapping[str, float]) -> float:
-    """Return the movement along the axis by the tool's own expansion, dL = alpha L dT [um]; NaN without a label."""
+    """Return how far the tool point has moved by the tool's own expansion since the reference.
+
+    Result: movement along the axis [um]; NaN when a label is missing. Linear expansion, dL = alpha L dT.
+
+    `term`: length [mm], expansion coefficient [um/(m K)], weights and direction. `label_increment_degc`: change of each
+    label's mean since the reference [degC].
+    """
     increment = sum(weight * label_increment_degc.get(label, np.nan) for label, weight in term.label_weights.items())
     return float(term.direction * term.expansion_um_per_m_k * term.length_mm * 1e-3 * increment)
 
 
 def nose_errors_um(sources: Sequence[AxisSource], estimate: ThermalErrorEstimate) -> FloatArray:
-    """Return the thermal error of the spindle nose per axis [um], actual minus nominal; NaN without a channel."""
+    """Return the thermal error of the spindle nose per axis since the reference.
+
+    Result: of shape (n_axes,): actual minus nominal [um]; NaN for an axis without a channel in the estimate.
+
+    `sources`: one per axis, in the machine's order. `estimate`: thermal error per model channel [um].
+    """
     by_channel = dict(zip(estimate.channels, estimate.thermal_error_um, strict=True))
     errors = (np.nan if source.channel is None else by_channel.get(source.channel, np.nan) for source in sources)
     return np.array(list(errors), dtype=np.float64)
@@ -60,10 +71,14 @@ def probe_wander(sources: Sequence[AxisSource], estimate: ThermalErrorEstimate |
 def tool_terms_um(
     sources: Sequence[AxisSource], label_increment_degc: Mapping[str, float], label_begin_degc: Mapping[str, float]
 ) -> FloatArray:
-    """Return the expansion of the tool in the spindle per axis since its term began [um]; 0 without a tool term.
+    """Return the expansion of the tool in the spindle per axis since its term began.
 
-    `label_begin_degc`: each label's increment when the tool came into the spindle; empty: it was there at the
-    reference.
+    Result: of shape (n_axes,): movement along the axis [um]; 0 for an axis without a tool term, NaN when a label is
+    missing.
+
+    `sources`: one per axis, in the machine's order. `label_increment_degc`: change of each label's mean since the
+    reference [degC]. `label_begin_degc`: what that change was when the tool came into the spindle [degC]; empty: it was
+    there at the reference.
     """
     since = {label: value - label_begin_degc.get(label, 0.0) for label, value in label_increment_degc.items()}
     terms = (0.0 if s.tool_term is None else tool_expansion_um(s.tool_term, since) for s in sources)

@@ -14,7 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from models.control.measured import carried_over, known_bias, with_model
-from models.control.state import UNKNOWN_UM, OutputInputs, OutputLimits, OutputMemory, ToolBaseline
+from models.control.state import (
+    UNKNOWN_UM,
+    OutputInputs,
+    OutputLimits,
+    OutputMemory,
+    ToolBaseline,
+)
 from models.records import FloatArray, OutputState
 
 SETTLING_STATES = (OutputState.ARMED, OutputState.ACTIVE, OutputState.HOLD)
@@ -28,9 +34,13 @@ SETTLED_UM = 1e-3
 def follow_reference(memory: OutputMemory, inputs: OutputInputs, stale_after_s: float) -> OutputMemory:
     """Make what is applied the baseline of a new reference; keep the output where it is.
 
-    While the CNC does not yet hold the new command, the guard may still apply the old one: what it then applied is the
-    baseline, because moving back would be a second step on the part. While the echo is unknown the old reference stays.
-    `stale_after_s`: an older estimate does not tell how far the machine has gone until a new reference.
+    While the CNC does not yet hold the new command, the guard may still apply the old one: what
+    it then applied is the baseline, because moving back would be a second step on the part.
+
+    The memory has the reference of the inputs, or the old one while the echo is unknown.
+
+    `memory`: from the previous step. `stale_after_s`: an older estimate does not tell how far the machine has gone
+    until a new reference [s].
     """
     if inputs.reference_id != memory.reference_id:
         return _new_reference(memory, inputs, stale_after_s)
@@ -43,6 +53,8 @@ def follow_tool(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
     """Keep what is applied as the baseline of a tool on the axes that were set with it.
 
     The memory is unchanged without a setting, without a valid reference, without an echo, or in a fault.
+
+    `memory`: after `follow_reference`. `inputs`: `tool_setting` tells the axes, `tool_number` the tool [-].
     """
     axes = inputs.tool_setting
     if axes is None or memory.reference_id is None or not np.all(np.isfinite(inputs.applied_um)):
@@ -80,7 +92,12 @@ def _also_settling(memory: OutputMemory, axes: tuple[bool, ...]) -> tuple[bool, 
 
 
 def rest_of_tool(memory: OutputMemory, inputs: OutputInputs) -> tuple[FloatArray, FloatArray]:
-    """Return where the request counts from with the tool in the spindle: baseline, and the estimate of then [um]."""
+    """Return where the request counts from with the tool in the spindle.
+
+    Result: `baseline_um`, `error_um`, shape (n_axes,): baseline [um], and the estimate that belongs to it [um].
+
+    `inputs.tool_number` selects the tool's setting.
+    """
     tool = memory.tools.get(inputs.tool_number)
     if tool is None:
         return memory.baseline_um, np.zeros_like(memory.baseline_um)
@@ -94,7 +111,13 @@ def model_shift_um(memory: OutputMemory) -> FloatArray:
 
 
 def request_um(memory: OutputMemory, inputs: OutputInputs) -> FloatArray:
-    """Return baseline + offset - weight (estimate since the setting + tool term) [um]; NaN without an estimate."""
+    """Return what follows from the estimate.
+
+    Result: of shape (n_axes,): baseline + offset since the setting - weight (estimate since the setting + tool term)
+    [um]; NaN without an estimate.
+
+    `memory`: baselines, offset and weight.
+    """
     baseline, error = rest_of_tool(memory, inputs)
     tool = memory.tools.get(inputs.tool_number)
     before = 0.0 if tool is None else np.where(np.isfinite(tool.baseline_um), tool.offset_um, 0.0)
@@ -106,7 +129,10 @@ def request_um(memory: OutputMemory, inputs: OutputInputs) -> FloatArray:
 def follow_error(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> OutputMemory:
     """Remember the latest estimate, from which a new reference tells how far the machine had gone until then.
 
-    Each axis that has one keeps it, when it counts from the latest reference and is confident enough to be followed.
+    Each axis that has one keeps it, when it counts from the latest reference.
+
+    `memory`: from the previous step. `inputs`: estimate and what it counts from. `limits`: an estimate of less than the
+    least confidence is not followed.
     """
     if inputs.estimate_reference_id is None or inputs.estimate_reference_id != memory.error_reference_id:
         return memory

@@ -39,7 +39,10 @@ class Condition(StrEnum):
 
 
 TRANSITIONS: dict[OutputState, tuple[tuple[Condition, OutputState], ...]] = {
-    OutputState.OFF: ((Condition.OUTPUT_FAULT, OutputState.FAULT), (Condition.WANTED, OutputState.ARMED)),
+    OutputState.OFF: (
+        (Condition.OUTPUT_FAULT, OutputState.FAULT),
+        (Condition.WANTED, OutputState.ARMED),
+    ),
     OutputState.ARMED: (
         (Condition.OUTPUT_FAULT, OutputState.FAULT),
         (Condition.NONE_WANTED, OutputState.RETREAT),
@@ -70,7 +73,13 @@ TRANSITIONS: dict[OutputState, tuple[tuple[Condition, OutputState], ...]] = {
 
 
 def initial_memory(*, now_s: float, applied_um: FloatArray, wanted: tuple[bool, ...]) -> OutputMemory:
-    """Return the memory at the daemon's start: the command begins at the CNC's echo, finite or ValueError."""
+    """Return the memory at the start of the daemon: the command begins at the CNC's echo.
+
+    Raises ValueError when an echo is not finite: nothing may start from an unknown position.
+
+    `now_s`: monotonic time [s]. `applied_um`: the guard's echo, shape (n_axes,) [um]; every value must be finite.
+    `wanted`: axes that a person had switched on before the restart.
+    """
     if not np.all(np.isfinite(applied_um)):
         raise ValueError("the CNC's echo is vacant or not a number; commissioning initialises it")
     moved = bool(np.any(np.abs(applied_um) > ZERO_UM))
@@ -275,7 +284,11 @@ def _limit(
     stepped = np.where(np.isfinite(inputs.applied_um), np.clip(slewed, lower, upper), current)
     hit = tuple(
         f"{axis}:{name}"
-        for name, acted in (("bound", bounded != requested), ("slew", slewed != target), ("step", stepped != slewed))
+        for name, acted in (
+            ("bound", bounded != requested),
+            ("slew", slewed != target),
+            ("step", stepped != slewed),
+        )
         for axis, yes in zip(limits.axes, acted, strict=True)
         if yes
     )

@@ -47,7 +47,11 @@ def _offset_unsure_um(memory: OutputMemory, tool_number: int, found_wrong_um: fl
 
 
 def measured_inhibit(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> Inhibit | None:
-    """Return why what the request counts from is not trusted, None when it is."""
+    """Return why what the request counts from is not trusted, None when it is.
+
+    `memory`, `inputs`, `limits`: as for `models.control.compensation.step`; the estimate counts from the output's
+    reference.
+    """
     of_tool_um = tool_unsure_um(memory, inputs.tool_number, inputs.found_wrong_um)
     unsure_um = np.maximum(of_tool_um, _offset_unsure_um(memory, inputs.tool_number, inputs.found_wrong_um))
     places = np.flatnonzero((unsure_um > UNSURE_UM) & np.array(memory.wanted, dtype=bool))

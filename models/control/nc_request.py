@@ -89,8 +89,9 @@ def parse_request(
 ) -> NcRequest | Refusal:
     """Return the request that the macros hold, or why it is refused.
 
-    `macros` were read after the counter was seen to change; None: vacant. `axes`: '' for one that is a slope; the
-    request counts them from 1, and 0 means all.
+    `macros`: values by macro number, read after the counter was seen to change; None: vacant. `numbers`: which macro
+    holds which part of the request. `axes`: names of the axes, '' for one that is a slope; the request counts them from
+    1, and 0 means all.
     """
     try:
         counter = _counter(macros, numbers)

@@ -17,7 +17,12 @@ FADED_UM = 0.3
 def probe_inhibit(
     memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits, inhibit: Inhibit | None, probe_um: FloatArray
 ) -> Inhibit | None:
-    """Return why a probe value cannot correct the estimate, None when it can; `inhibit`: why the estimate may not."""
+    """Return why a probe value cannot correct the estimate, None when it can.
+
+    `memory`, `inputs`, `limits`: as for `models.control.compensation.step`. `inhibit`: the first reason against
+    following the estimate, None when there is none. `probe_um`, shape (n_axes,): deviation per axis, actual minus
+    nominal [um]; NaN where not probed.
+    """
     probed = np.isfinite(probe_um)
     if not probed.any():
         return Inhibit(code=InhibitCode.PROBE, text="no axis was probed")
@@ -41,9 +46,12 @@ def probe_inhibit(
 def tool_setting_inhibit(
     memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits, inhibit: Inhibit | None
 ) -> Inhibit | None:
-    """Return why a tool setting cannot count from the estimate, None when it can; `inhibit`: why that is not followed.
+    """Return why a tool setting cannot count from the estimate, None when it can.
 
     Its error would stay when the sensors are back, until the tool is set again.
+
+    `memory`, `inputs`, `limits`: as for `models.control.compensation.step`. `inhibit`: the first reason against
+    following the estimate, None when there is none.
     """
     if inhibit is not None:
         return replace(inhibit, text=f"the tool cannot be set: {inhibit.text}")
@@ -142,7 +150,10 @@ def _bias_filter(wander: Wander | None, limits: OutputLimits) -> BiasFilter:
 
 
 def weight_of(confidence: float, limits: OutputLimits) -> float:
-    """Return the share of the estimate that a confidence is worth: 0 at `min_confidence`, 1 from `full_confidence`."""
+    """Return the share of the estimate that a confidence (0..1) is worth.
+
+    It is 0 at the limits' `min_confidence`, 1 from `full_confidence` on, linear between.
+    """
     if confidence >= limits.full_confidence:
         return 1.0
     span = limits.full_confidence - limits.min_confidence

@@ -103,7 +103,27 @@ TRANSITIONS: dict[ReferenceState, tuple[tuple[Condition, ReferenceState], ...]] 
 def on_sample(
     memory: ReferenceMemory, polled: CncSample, rules: ReferenceRules, *, asked_s: float, new_id: str
 ) -> Step:
-    """Take one poll, asked for at `asked_s` [s]: a positioning may have passed, or the reference have ended."""
+    """Take one poll of the CNC: a positioning may have passed, or the reference have ended.
+
+    Parameters
+    ----------
+    memory
+        From the previous event.
+    polled
+        The poll.
+    rules
+        Where the work is positioned.
+    asked_s
+        Monotonic time at which the control was asked for it [s]; what it shows is no older.
+    new_id
+        Identity of the reference that is asked for, if one is.
+
+    Returns
+    -------
+    Step
+        Memory and effects.
+
+    """
     previous, sample = memory.sample, in_part_program(memory.sample, polled, rules.guard_programs, rules.guard_blocks)
     missed = "" if previous is None else _missed(memory, previous, sample, rules)
     passed = positioning_passed(previous, sample, rules.program, rules.sequence_numbers)
@@ -131,7 +151,10 @@ def request(
     """Ask for a reference now."""
     assert memory.sample is not None
     asked = RequestedReference(
-        reference_id=reference_id, positioning=positioning, handshake=handshake, asked_s=memory.sample.time.monotonic_s
+        reference_id=reference_id,
+        positioning=positioning,
+        handshake=handshake,
+        asked_s=memory.sample.time.monotonic_s,
     )
     question = ReferenceRequest(
         reference_id=reference_id,
@@ -323,10 +346,14 @@ def tool_begin_degc(
 def tool_set_right(
     memory: ReferenceMemory, before: Mapping[str, tuple[float, float]], now_degc: Mapping[str, float], now_s: float
 ) -> ReferenceMemory:
-    """Set a tool right that came into the spindle while a label had no value; unchanged where none was away then.
+    """Set a tool right that came into the spindle while a label had no value.
 
-    What the tool began at lies on a straight line between `before`, of each label the time [s] and the mean increment
-    [K] that it had last, and `now_degc` at `now_s`; NaN where that was long after the one and long before the other.
+    Result: with what the tool began at on a straight line between the two, NaN where that was long after the one and
+    long before the other; unchanged where no label was away then.
+
+    `memory`: with the tool, whose label began at its last increment. `before`: of each label the time [s] and the mean
+    increment [K] that it had last. `now_degc`: mean increment of the labels that have one [K]. `now_s`: of these [s];
+    where they were measured before the tool came, and arrive after it, it begins at them.
     """
     record = memory.record
     if record is None or record.tool is None:

@@ -77,6 +77,7 @@ class OutputBaseline:
     weight: float
     """Share of the estimate that counts."""
     tools: Mapping[int, ToolBaseline] = field(default_factory=lambda: MappingProxyType({}))
+    """Tool settings by tool number."""
     model_shift_um: FloatArray | None = None
     """Added to the estimate so that changes of model move nothing [um]; None before any."""
     counted_found_um: FloatArray | None = None
@@ -182,6 +183,7 @@ class ReferenceDocument:
     state: ReferenceState
     record: ReferenceRecord | None = None
     ended: str = ""
+    """Why none is in force."""
     request_counter: int | None = None
     """The handshake's counter when this was kept."""
     seen: CncSeen | None = None

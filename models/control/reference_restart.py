@@ -51,8 +51,24 @@ def restart(
 ) -> Step:
     """Go on from what the previous run of the daemon left, as far as it still holds.
 
-    `memory`: with the first poll; a reference that was set since the start stays. `axes`, `model_id`: what the output
-    is made for now. Result: VALID with the reference, ENDED with one that tool settings count from, or unchanged.
+    Parameters
+    ----------
+    memory
+        With the first poll; a reference that was set since the start stays.
+    left
+        What was kept.
+    rules
+        The configuration of now.
+    axes, model_id
+        What the output is made for now.
+    request_counter
+        The handshake's counter in the first poll.
+
+    Returns
+    -------
+    Step
+        VALID with the reference, ENDED with one that tool settings count from, or unchanged.
+
     """
     record, sample = left.record, memory.sample
     if record is None or sample is None or memory.record is not None:

@@ -141,6 +141,7 @@ class OutputInputs:
     reference_ended: str = ""
     """Why there is none, '' where that is not known."""
     estimate_reference_id: str | None
+    """The reference that the estimate is relative to."""
     kept_reference_id: str | None = None
     """The latest reference, valid or ended, that estimates and tool settings count from; None when none may."""
     model_id: str | None = None
@@ -216,3 +217,4 @@ class OutputMemory:
     counted_found_um: FloatArray | None = None
     """The same when a probe or a change of model was counted last, per axis; NaN, None: neither was."""
     tools: Mapping[int, ToolBaseline] = field(default_factory=lambda: MappingProxyType({}))
+    """Tool settings by tool number."""

@@ -35,7 +35,11 @@ class CondensedAssembly:
     """An assembly condensed at fixed frequencies; new bearing properties cost about a millisecond."""
 
     def __init__(self, assembly: SpindleAssembly, frequency_hz: FloatArray) -> None:
-        """Condense the shaft to nose and bearings, and what is in front of it to its two ends, at frequencies [Hz]."""
+        """Condense the shaft to nose and bearings, and what is in front of it to its two ends.
+
+        `assembly`: the assembly; properties of the supports are not used. `frequency_hz`: frequencies [Hz], shape (n,),
+        positive.
+        """
         self.shaft = CondensedShaft(assembly.shaft, frequency_hz)
         self.frequency_hz = self.shaft.frequency_hz
         parts = list(assembly.front)
@@ -61,7 +65,13 @@ class CondensedAssembly:
         return np.asarray(stiffness, dtype=np.complex128)
 
     def receptances(self, parameters: Mapping[str, FloatArray], lines: slice) -> ComplexArray:
-        """Return `receptance` for sets of properties by name, shape (k,), at some `lines`: shape (k, n) [m/N]."""
+        """Return `receptance` for several sets of bearing properties at some of the frequencies.
+
+        Result: [m/N], shape (k, n).
+
+        `parameters`: name -> values, shape (k,), of all parameters of the shaft's groups. `lines`: which of the
+        frequencies.
+        """
         stiffness = self.shaft.nose_stiffnesses(parameters, lines)
         if self._front is not None:
             stiffness, _ = close(Span(*(rows[:, None, lines] for rows in self._front)), stiffness)

@@ -68,7 +68,13 @@ class Segment:
 
     def __post_init__(self) -> None:
         """Check the numbers."""
-        for name in ("length_m", "mass_kg_per_m", "rotary_inertia_kgm", "bending_stiffness_nm2", "shear_stiffness_n"):
+        for name in (
+            "length_m",
+            "mass_kg_per_m",
+            "rotary_inertia_kgm",
+            "bending_stiffness_nm2",
+            "shear_stiffness_n",
+        ):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
                 raise ValueError(f"{name} of a segment must be positive and finite, got {value:g}")
@@ -139,9 +145,12 @@ def segment_span(
 ) -> tuple[Span, Counts]:
     """Return the dynamic stiffness of a segment between its ends.
 
-    Also how many natural frequencies of the segment clamped at both ends lie below each frequency, zeros when `damped`
-    (E and G are complex, which equals 4-14 to 4-16 summed over all modes). `highest_hz` decides into how many elements
-    it is divided; None: the largest given.
+    Result: the span, and how many natural frequencies of the segment clamped at both ends lie below each frequency,
+    shape (n,); zeros when damped.
+
+    `frequency_hz`: frequencies [Hz], shape (n,), positive. `damped`: whether E and G are complex, which equals 4-14 to
+    4-16 summed over all modes. `highest_hz`: frequency that decides into how many elements the segment is divided;
+    None: the largest given.
     """
     highest = float(frequency_hz.max()) if highest_hz is None else highest_hz
     pieces = segment.length_m / longest_element_m(segment, 2.0 * np.pi * highest)
@@ -282,8 +291,10 @@ def _coefficients(b: Values, c: Values) -> tuple[Values, Values, Values, Values]
 def join(first: Span, second: Span) -> tuple[Span, Counts]:
     """Return two spans joined rigidly end to end, their common node condensed (4-31 in stiffness form).
 
-    Also the number of negative pivots of the common node, shape (n,), which counts natural frequencies; zeros where the
-    values are complex.
+    Result: the joined span, and the number of negative pivots of the common node, shape (n,), which counts natural
+    frequencies (zeros where the values are complex).
+
+    `first` and `second`: the spans; the rear of the first is joined to the front of the second.
     """
     pivot = first.rear + second.front
     determinant = pivot[0] * pivot[2] - pivot[1] * pivot[1]
@@ -303,7 +314,11 @@ def join(first: Span, second: Span) -> tuple[Span, Counts]:
 def close(span: Span, rear_stiffness: Values) -> tuple[Values, Counts]:
     """Return the stiffness at the front of a span whose rear end is held by another stiffness.
 
-    Both as rows (11, 12, 22), shape (3, n); and the negative pivots of the rear end as `join` counts them.
+    Result: stiffness at the front as rows (11, 12, 22), shape (3, n), and the number of negative pivots of the rear
+    end, shape (n,) (zeros where the values are complex).
+
+    `span`: the span. `rear_stiffness`: what holds its rear end, as rows (11, 12, 22), shape (3, n) or (3, 1); zeros:
+    nothing.
     """
     pivot = span.rear + rear_stiffness
     determinant = pivot[0] * pivot[2] - pivot[1] * pivot[1]

@@ -80,7 +80,11 @@ class CondensedShaft:
     """Dynamic stiffness of a free shaft between its nose and its bearings, at fixed frequencies."""
 
     def __init__(self, chain: Chain, frequency_hz: FloatArray) -> None:
-        """Condense a chain at frequencies [Hz]; of its supports positions and groups are used, not the properties."""
+        """Condense a chain.
+
+        `chain`: the shaft; the positions and groups of its supports are used, their properties are not. `frequency_hz`:
+        frequencies [Hz], shape (n,), positive.
+        """
         self.frequency_hz = np.asarray(frequency_hz, dtype=np.float64)
         self.omega = 2.0 * np.pi * self.frequency_hz
         supports = sorted(chain.supports, key=lambda support: support.position_m)
@@ -127,7 +131,10 @@ class CondensedShaft:
         return np.asarray(close(span, nothing)[0], dtype=np.complex128)
 
     def nose_stiffness(self, properties: BearingProperties) -> ComplexArray:
-        """Return the dynamic stiffness at the nose as rows (11, 12, 22), shape (3, n) [N/m, N/rad, Nm/rad]."""
+        """Return the dynamic stiffness at the nose as rows (11, 12, 22), shape (3, n) [N/m, N/rad, Nm/rad].
+
+        `properties`: of every group in `groups`.
+        """
         stiffness, _ = self._close(properties, keep=False)
         return stiffness
 
@@ -137,7 +144,13 @@ class CondensedShaft:
         return np.asarray(d / (a * d - b * b), dtype=np.complex128)
 
     def nose_stiffnesses(self, parameters: Mapping[str, FloatArray], lines: slice) -> ComplexArray:
-        """Return `nose_stiffness`, shape (3, k, n), for parameters by name, shape (k,), at some `lines`."""
+        """Return `nose_stiffness` for several sets of bearing properties at some of the frequencies.
+
+        Result: rows (11, 12, 22), shape (3, k, n) [N/m, N/rad, Nm/rad].
+
+        `parameters`: name -> values, shape (k,), of all parameters of the groups in `groups`. `lines`: which of the
+        frequencies.
+        """
         j_omega = 1j * self.omega[lines]
         added = {
             group: tuple(

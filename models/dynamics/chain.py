@@ -146,9 +146,25 @@ def chain_span(parts: list[Part], frequency_hz: FloatArray, *, damped: bool) -> 
 def natural_frequencies_below(chain: Chain, frequency_hz: FloatArray, highest_hz: float) -> Counts:
     """Return how many undamped natural frequencies lie below each frequency (Wittrick and Williams).
 
-    The sum of the negative pivots of the assembled dynamic stiffness and of the natural frequencies of every element
-    clamped at both ends; elements are so short, by `highest_hz`, that the latter has none. Rigid-body modes at zero
-    count.
+    Parameters
+    ----------
+    chain
+        The chain; damping is left out, supports and joints act with their stiffness.
+    frequency_hz
+        Frequencies [Hz], shape (n,), positive.
+    highest_hz
+        Highest frequency of the search; decides into how many elements segments are divided.
+
+    Returns
+    -------
+    ndarray
+        Number of natural frequencies below each, rigid-body modes at zero included, shape (n,).
+
+    Notes
+    -----
+    The sum of the negative pivots of the assembled dynamic stiffness and of the natural frequencies
+    of every element clamped at both ends; elements are so short that the latter has none.
+
     """
     parts, nodes = divide(chain, [support.position_m for support in chain.supports])
     held: dict[int, Values] = {}

@@ -72,12 +72,18 @@ def chain_receptance(chain: Chain, frequency_hz: FloatArray) -> ComplexArray:
 
 
 def identify_contact(
-    interface: Interface, measured: ComplexArray, *, start: Mapping[str, float] | None = None, method: str = "lm"
+    interface: Interface,
+    measured: ComplexArray,
+    *,
+    start: Mapping[str, float] | None = None,
+    method: str = "lm",
 ) -> Identified:
-    """Return the contact parameters of a joint that reproduce a measured response; raises IdentificationError.
+    """Return the contact parameters of a joint that reproduce a measured response.
 
-    `measured`: receptance at the front of what is in front [m/N]. `method`: `lm`, or `nelder-mead` on the
-    dissertation's cost.
+    Raises IdentificationError when the data cannot be fitted at all.
+
+    `interface`: what stands on either side. `measured`: receptance at the front of what is in front [m/N], shape (n,).
+    `start`: where to begin, by name. `method`: `lm`, or `nelder-mead` on the dissertation's cost.
     """
     begin = {**INITIAL, **(start or {})}
     free = list(CONTACT)

@@ -20,7 +20,13 @@ from models.dynamics.bearings import (
 )
 from models.dynamics.plausibility import level_m_per_n
 from models.dynamics.response_fit import Descent, Identified, Model, Response, nelder_mead, problem, report
-from models.dynamics.response_search import SEARCH_RANGE, Coarse, evenly_spread, least_squares_fit, lines_of_search
+from models.dynamics.response_search import (
+    SEARCH_RANGE,
+    Coarse,
+    evenly_spread,
+    least_squares_fit,
+    lines_of_search,
+)
 from models.errors import IdentificationError
 from models.records import FloatArray
 
@@ -31,7 +37,11 @@ LEVEL_LINES = 200
 """Sets of bearing properties, and about how many of the frequencies, at which the level of a shaft is looked at."""
 
 _NEGLIGIBLE = {"ct_34": 1e-5, "cr_12": 1e-5, "cr_34": 1e-5, "cr_5": 1e-5, "kr_5": 1e5}
-FIXED: Mapping[int, Mapping[str, float]] = {12: {}, 7: _NEGLIGIBLE, 5: {**_NEGLIGIBLE, "kt_12": 1e-5, "kr_34": 1e-5}}
+FIXED: Mapping[int, Mapping[str, float]] = {
+    12: {},
+    7: _NEGLIGIBLE,
+    5: {**_NEGLIGIBLE, "kt_12": 1e-5, "kr_34": 1e-5},
+}
 """Number of free parameters -> what is kept fixed, with the values of section 5.2.3."""
 
 TYPICAL = {"kt": 1e8, "ct": 1e3, "kr": 5e5, "cr": 10.0}
@@ -49,9 +59,12 @@ def initial(names: Iterable[str]) -> dict[str, float]:
 
 
 def kept_beside(vary: Sequence[str], groups: Sequence[str]) -> tuple[str, ...]:
-    """Return the parameters of a spindle that are kept when these are varied; raises IdentificationError.
+    """Return the parameters of a spindle that are kept when these are varied.
 
-    `vary`: parameters (`kt_front`), kinds (`kt`: of every group), or groups (`front`: all of its parameters).
+    Raises IdentificationError when a name is no parameter of it.
+
+    `vary`: parameters (`kt_front`), kinds (`kt`: of every group), or groups (`front`: all of its parameters). `groups`:
+    the groups of the spindle's bearings.
     """
     names = parameters_of(groups)
     varied: set[str] = set()
@@ -69,10 +82,13 @@ def kept_beside(vary: Sequence[str], groups: Sequence[str]) -> tuple[str, ...]:
 def kept_parameters(
     groups: Sequence[str], parameters: int, vary: Sequence[str], stated: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return the parameters that are kept, with their values; raises IdentificationError.
+    """Return the parameters that are kept, with their values.
 
-    `parameters`: 5, 7 or 12 of the published spindle's (section 5.2.3), 12 standing for all of any spindle. `vary`:
-    what is varied instead, see `kept_beside`. `stated`: values of the spindle's file, kept where nothing is published.
+    Raises IdentificationError when `vary` names no parameter, or when it must say what is varied.
+
+    `groups`: the groups of the spindle's bearings. `parameters`: 5, 7 or 12 of the published spindle's (section 5.2.3),
+    12 standing for all of any spindle. `vary`: what is varied instead, see `kept_beside`; empty: as `parameters` says.
+    `stated`: values of the spindle's file, by name; they are kept where nothing is published.
     """
     if vary:
         return {name: stated.get(name, 0.0) for name in kept_beside(vary, groups)}
@@ -96,14 +112,28 @@ def identify_bearings(
     fixed: Mapping[str, float] | None = None,
     method: Method = "lm",
 ) -> Identified:
-    """Return bearing properties that reproduce a measured response at the nose; raises IdentificationError.
+    """Return bearing properties that reproduce a measured response at the nose.
 
     Twelve parameters are found by the simplex in two stages, as in the dissertation: all front bearings equal, then
     each group with its own. Twelve are not identifiable from one response; `identifiable` says which the data see.
 
-    `start`: by name; what is missing or zero is taken from Table 4-5. `fixed`: parameters that are not varied; None:
-    those that section 5.2.3 keeps of 5, 7 or 12 `parameters`. `method`: `lm`, or `nelder-mead` on the dissertation's
-    cost.
+    Raises IdentificationError when the data cannot be fitted at all.
+
+    Parameters
+    ----------
+    shaft
+        The shaft, condensed at the measured frequencies.
+    measured
+        Receptance at the nose [m/N], shape (n,).
+    parameters
+        5, 7 or 12 of the published spindle's (section 5.2.3): which are kept, when `fixed` does not say it.
+    start
+        Where to begin, by name; what is missing or zero is taken from Table 4-5.
+    fixed
+        The parameters that are not varied, with their values; None: those of section 5.2.3.
+    method
+        `lm`, or `nelder-mead` on the dissertation's cost.
+
     """
     kept = dict(FIXED[parameters] if fixed is None else fixed)
     present = parameters_of(shaft.groups)
@@ -156,9 +186,11 @@ def _many(
 
 
 def level_range_m_per_n(shaft: CondensedShaft) -> tuple[float, float]:
-    """Return the lowest and highest level of a shaft's nose on bearings of every usual kind [m/N].
+    """Return the lowest and the highest level that the nose of a shaft has on bearings of every usual kind [m/N].
 
     The level is the geometric mean of the magnitudes; the properties are spread over `SEARCH_RANGE`.
+
+    `shaft`: the shaft, condensed at the frequencies that are looked at.
     """
     names = parameters_of(shaft.groups)
     ends = np.log([SEARCH_RANGE[name.partition("_")[0]] for name in names])

@@ -1,8 +1,10 @@
 """What holds a tool, from impact tests on a plain cylinder in its place (receptance coupling turned round).
 
-A blank of known material is clamped instead of the tool and hit at its tip and at a second point. What is left beside
-its own, exactly known receptance is the spindle with its holder, rotation included, to which any tool of the same shank
-is coupled. After Schmitz and Duncan (2005), with the response at the second point measured too.
+A blank, a cylinder of known material, is clamped instead of the tool and hit at its tip and at a second point.
+Its own receptance is known exactly (`models.dynamics.beam`), so that what is left is the spindle with its holder,
+rotation included, at the face of the holder. Any tool of the same shank is then coupled to it: one test serves
+them all. After Schmitz and Duncan (2005), but with the response at the second point measured too, so that the
+rotational receptance follows and need not be assumed.
 """
 
 import numpy as np
@@ -54,7 +56,11 @@ def held_stiffness(
 
 
 def tool_point_receptance(tool: tuple[Part, ...], held: ComplexArray, frequency_hz: FloatArray) -> ComplexArray:
-    """Return the receptance at the tip of a tool, given from the tip backwards, in the same holder [m/N]."""
+    """Return the receptance at the tip of a tool in the same holder [m/N], shape (n,).
+
+    `tool`: what stands out of the holder, from the tip backwards. `held`: from `held_stiffness`, shape (3, n).
+    `frequency_hz`: its frequencies [Hz].
+    """
     a, b, d = close(chain_span(list(tool), frequency_hz, damped=True), held)[0]
     return np.asarray(d / (a * d - b * b), dtype=np.complex128)
 

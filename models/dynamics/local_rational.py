@@ -35,7 +35,10 @@ class Smoothed:
 
 
 def smoothed(responses: ComplexArray) -> Smoothed:
-    """Return responses of one structure, shape (m, n), smoothed over the widest window that does not bend them."""
+    """Return responses smoothed over the widest window that does not bend them.
+
+    `responses`: responses of one structure at evenly spaced lines, shape (m, n), finite and not zero.
+    """
     best = None
     for half_width in HALF_WIDTHS:
         if 2 * half_width + 1 > responses.shape[1]:

@@ -55,10 +55,12 @@ def mixed(
     poisson: float | None = None,
     cells: int = CELLS,
 ) -> Elasticity:
-    """Return the constants of a section in which materials are spread uniformly (4-19, 4-23, 4-24); raises ValueError.
+    """Return the constants of a section in which materials are spread uniformly (4-19, 4-23, 4-24).
 
-    `poisson`: nu of the shear coefficient; None: the volume mean of the materials'. `cells`: unit cells along each
-    side.
+    Raises ValueError when ratios are negative or do not sum up to 1, or Poisson's ratio is not known.
+
+    `ratios`: materials and their volume ratios, which sum up to 1. `outer_m`, `inner_m`: diameters [m]. `poisson`: nu
+    of the shear coefficient; None: the volume mean of the materials'. `cells`: unit cells along each side.
     """
     total = sum(ratio for _, ratio in ratios)
     if any(ratio < 0.0 for _, ratio in ratios) or abs(total - 1.0) > RATIO_SUM:
@@ -78,9 +80,14 @@ def mixed(
 
 
 def layered(layers: Sequence[Layer], inner_m: float, *, poisson: float | None = None, cells: int = CELLS) -> Elasticity:
-    """Return the constants of a section of layers, from the bore outwards (4-22, 4-23, 4-25); raises ValueError.
+    """Return the constants of a section made of layers (4-22, 4-23, 4-25).
 
-    A cell on the boundary of two layers belongs to the one that holds its centre. `poisson`, `cells`: as of `mixed`.
+    A cell on the boundary of two layers belongs to the one that holds its centre.
+
+    Raises ValueError when the diameters do not grow, or Poisson's ratio is not known.
+
+    `layers`: from the bore outwards, with growing outer diameters. `inner_m`: diameter of the bore [m]. `poisson`: nu
+    of the shear coefficient; None: the area mean of the materials'. `cells`: unit cells along each side.
     """
     borders = [inner_m, *(layer.outer_m for layer in layers)]
     if any(second <= first for first, second in pairwise(borders)):

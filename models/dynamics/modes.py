@@ -45,10 +45,13 @@ def rigid_body_modes(chain: Chain) -> int:
 
 
 def natural_frequencies(chain: Chain, count: int, search_end_hz: float = HIGHEST_HZ) -> FloatArray:
-    """Return the lowest elastic natural frequencies [Hz], ascending; equal ones appear as often.
+    """Return the lowest elastic natural frequencies [Hz], shape (count,), ascending; equal ones appear as often.
 
-    None is missed and none is spurious: each is an interval at which the number of natural frequencies below (Wittrick
-    and Williams) rises, narrowed to `PRECISION`. Fewer than `count` where the search ends before.
+    None is missed and none is spurious: each is an interval at which the number of natural
+    frequencies below (Wittrick and Williams) rises, narrowed to `PRECISION`.
+
+    `chain`: the chain, free or on supports; damping is left out. `count`: how many; at least 1. Fewer are returned when
+    the search ends before. `search_end_hz`: where the search ends [Hz].
     """
     rigid = rigid_body_modes(chain)
     highest = 2000.0
@@ -74,7 +77,10 @@ def natural_frequencies(chain: Chain, count: int, search_end_hz: float = HIGHEST
 
 
 def modes(chain: Chain, count: int, step_m: float = SHAPE_STEP_M) -> list[Mode]:
-    """Return the lowest elastic modes with their shapes, whose points are at most `step_m` apart."""
+    """Return the lowest elastic modes with their shapes.
+
+    `count`: how many. `step_m`: largest distance between two points of a shape [m].
+    """
     return [_mode(chain, float(frequency), step_m) for frequency in natural_frequencies(chain, count)]
 
 
@@ -110,10 +116,14 @@ def _gyration_m(chain: Chain) -> float:
 
 
 def dense_stiffness(chain: Chain, frequency_hz: float, step_m: float, *, damped: bool) -> tuple[Values, FloatArray]:
-    """Return the dynamic stiffness of many points along a chain at one frequency, and their positions [m].
+    """Return the dynamic stiffness of many points along a chain at one frequency.
 
-    Symmetric, shape (2 m, 2 m), ordered (y_1, theta_1, y_2, ...); at an elastic joint a position appears twice.
-    `step_m`: largest distance of points within a segment; 0: only ends and supports.
+    Result: symmetric matrix, shape (2 m, 2 m), ordered (y_1, theta_1, y_2, ...), and the positions of the m points from
+    the front [m]; at an elastic joint a position appears twice.
+
+    `chain`: the chain with its supports. `frequency_hz`: one frequency [Hz]. `step_m`: largest distance between two
+    points of a segment [m]; 0: only the ends and the supports. `damped`: whether the structural damping and the dampers
+    act.
     """
     at = np.array([frequency_hz])
     parts, nodes = divide(chain, [support.position_m for support in chain.supports])
@@ -143,8 +153,9 @@ def dense_stiffness(chain: Chain, frequency_hz: float, step_m: float, *, damped:
 def segment_matrix(segment: Segment, frequency_hz: float, offsets_m: list[float], *, damped: bool) -> Values:
     """Return the dynamic stiffness of points of a segment, shape (2 m, 2 m), at one frequency [Hz].
 
-    `offsets_m`: points from its front, from 0 to its length. A `published` segment keeps its one rigid rotation mode,
-    whatever its points.
+    `segment`: the segment; a `published` one keeps its one rigid rotation mode, whatever its points. `frequency_hz`:
+    one frequency [Hz]. `offsets_m`: points from its front [m], ascending, the first 0 and the last its length.
+    `damped`: whether E and G are complex.
     """
     at = np.array([frequency_hz])
     exact = segment.as_correct()
@@ -175,7 +186,12 @@ def _matrix(span: Span) -> Values:
 
 
 def modal_assurance(first: npt.NDArray[np.generic], second: npt.NDArray[np.generic]) -> float:
-    """Return how alike two shapes are, 0 to 1 (4-39, with the conjugates that complex vectors need)."""
+    """Return how alike two shapes are, 0 to 1 (4-39, with the conjugates that complex vectors need).
+
+    Raises ValueError when a shape is zero everywhere or the numbers of points differ.
+
+    `first` and `second`: real or complex displacements at the same points, shape (n,).
+    """
     one, two = np.asarray(first, dtype=np.complex128), np.asarray(second, dtype=np.complex128)
     if one.shape != two.shape or one.ndim != 1:
         raise ValueError(f"two shapes at the same points are needed, got {one.shape} and {two.shape}")

@@ -49,6 +49,7 @@ class Identified:
     values: dict[str, float]
     """All parameters by name, the fixed ones among them, in SI units."""
     free: tuple[str, ...]
+    """The parameters that were varied."""
     cost_m_per_n: float
     """S_cf of 4-36: the sum of |H_meas - H| over the frequencies [m/N]."""
     log_error: float
@@ -119,6 +120,7 @@ class Problem:
     weight: FloatArray
     """How much each line counts, shape (n,)."""
     free: tuple[str, ...]
+    """The parameters to vary."""
 
     def residual(self, log_values: FloatArray) -> tuple[FloatArray, npt.NDArray[np.float64]]:
         """Return the weighted log(H / H_meas), real and imaginary parts in a row, and its derivative."""
@@ -134,7 +136,10 @@ class Problem:
 
 
 def problem(model: Model, measured: ComplexArray, free: Sequence[str]) -> Problem:
-    """Return the problem of fitting a model to a measured response by its `free` parameters."""
+    """Return the problem of fitting a model to a measured response.
+
+    `measured`: shape (n,). `free`: names of the parameters to vary.
+    """
     return Problem(model=model, measured=measured, weight=line_weights(measured), free=tuple(free))
 
 
@@ -184,7 +189,12 @@ def descend(task: Problem, start: Mapping[str, float], most: int) -> Descent:
     return Descent(values, task.log_error(2.0 * done.cost), int(done.nfev))
 
 
-def nelder_mead(response: Response, measured: ComplexArray, free: Sequence[str], begin: Mapping[str, float]) -> Descent:
+def nelder_mead(
+    response: Response,
+    measured: ComplexArray,
+    free: Sequence[str],
+    begin: Mapping[str, float],
+) -> Descent:
     """Return the minimum of 4-36 by the simplex method, run twice, the second time from where the first ended."""
     from scipy.optimize import minimize
 
@@ -214,8 +224,10 @@ def report(
 ) -> Identified:
     """Return what was found with its cost and with what the data say about each parameter.
 
-    `values`: all parameters by name, the kept ones among them. `rivals`: other sets that fit as well. Raises
-    IdentificationError where something is not finite.
+    Raises IdentificationError when a value or the response it gives is not finite.
+
+    `task`: the problem that was solved. `values`: all parameters by name, the kept ones among them. `evaluations`: how
+    often the response was computed. `rivals`: other sets of values that fit as well.
     """
     free = task.free
     computed, _ = task.model({name: values[name] for name in free})

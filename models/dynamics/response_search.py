@@ -57,10 +57,14 @@ def least_squares_fit(
 ) -> Descent:
     """Return the parameters that minimise the squares of log(H / H_meas), and others that do as well.
 
-    `coarse`: the same model at some of the frequencies. `table`: another start to try, by name.
+    `begin`: where to begin, by name. `coarse`: the same model at some of the frequencies. `table`: another start to
+    try, by name.
     """
     thin = Problem(
-        model=coarse.model, measured=task.measured[coarse.lines], weight=task.weight[coarse.lines], free=task.free
+        model=coarse.model,
+        measured=task.measured[coarse.lines],
+        weight=task.weight[coarse.lines],
+        free=task.free,
     )
     found = [descend(task, begin, MOST_EVALUATIONS)]
     told = [found[0].values] + ([{**begin, **table}] if table else [])
@@ -97,7 +101,10 @@ def _apart(values: Mapping[str, float], other: Mapping[str, float]) -> bool:
 
 
 def evenly_spread(points: int, dimensions: int) -> FloatArray:
-    """Return points of the unit cube that lie evenly (additive recurrence of the generalised golden ratio)."""
+    """Return points of the unit cube that lie evenly (additive recurrence of the generalised golden ratio).
+
+    Shape (points, dimensions), from 0 to 1.
+    """
     ratio = 2.0
     for _ in range(40):
         ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))

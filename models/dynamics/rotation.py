@@ -31,8 +31,10 @@ def spinning(chain: Chain, spin_rad_s: float) -> Chain:
 def whirl_frequencies(chain: Chain, speed_rpm: float, count: int) -> tuple[FloatArray, FloatArray]:
     """Return the lowest natural frequencies [Hz] of the whirls against and with the rotation, shapes (count,).
 
-    The bearings are taken to be alike in both axes. Raises ValueError when nothing holds the chain (its slow
-    precessions are no modes), or with `published` inertia.
+    Raises ValueError when nothing holds the chain (its slow precessions are no modes), or with `published` inertia.
+
+    `chain`: the chain on its bearings, which are taken to be alike in both axes. `speed_rpm`: speed of the shaft
+    [1/min]. `count`: how many of each.
     """
     if not any(support.properties.kt_n_per_m > 0.0 for support in chain.supports):
         raise ValueError("a free shaft that turns has precessions, no whirls; it needs bearings")
@@ -46,8 +48,12 @@ def rotating_receptance(
 ) -> ComplexArray:
     """Return the receptance at the front [m/N], shape (n, 2, 2): displacement X, Y per force X, Y of the machine.
 
-    `along_x`, `along_y`: the spindle as each axis sees it: only the bearings' properties may differ (ValueError).
-    `speed_rpm`: clockwise seen from above.
+    Raises ValueError when the two assemblies are not the same shaft with bearings at the same places, or with
+    `published` inertia.
+
+    `along_x`, `along_y`: the spindle with what is clamped, as each axis sees it: only the bearings' properties may
+    differ. `speed_rpm`: speed of the spindle, clockwise seen from above [1/min]. `frequency_hz`: frequencies [Hz],
+    shape (n,), positive.
     """
     chains = along_x.whole(), along_y.whole()
     if chains[0].parts != chains[1].parts or _places(chains[0]) != _places(chains[1]):

@@ -63,7 +63,10 @@ class Tube:
 
 
 def shear_coefficient(outer_m: float, inner_m: float, poisson: float) -> float:
-    """Return A_s / A_c of a hollow circle (4-26), its diameters in any common unit; 0.886 for a full one of steel."""
+    """Return A_s / A_c of a hollow circle (4-26); 0.886 for a full one of steel.
+
+    `outer_m` and `inner_m`: diameters [m] (any common unit). `poisson`: Poisson's ratio.
+    """
     ratio = (inner_m / outer_m) ** 2
     square = (1.0 + ratio) ** 2
     return 6.0 * (1.0 + poisson) * square / ((7.0 + 6.0 * poisson) * square + (20.0 + 12.0 * poisson) * ratio)
@@ -79,8 +82,11 @@ def beam_segment(
 ) -> Segment:
     """Return the segment of tubes that bend together (shaft, shrunk rotor, sleeve, holder inside a taper).
 
-    Every tube adds its own share: rho A, rho I, E I and its own A_s G (4-26 with its own diameters and Poisson's
-    ratio).
+    Every tube adds its own share: rho A, rho I, E I and its own A_s G (4-26 with its own
+    diameters and Poisson's ratio).
+
+    `length_m`: length [m]. `tubes`: at least one tube. `axial_load_n`, `structural_damping`, `rigid_rotary_inertia`:
+    see `models.dynamics.beam.Segment`.
     """
     return Segment(
         length_m=length_m,

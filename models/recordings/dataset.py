@@ -1,49 +1,14 @@
 """A recording of temperatures and displacements, what may be wrong with it, and its parts."""
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from models.errors import RefusedInputError
+from models.recordings.blocks import block_means
 from models.recordings.plausibility import impossible_displacements, impossible_speeds, impossible_temperatures
 from models.records import FloatArray
-
-
-def block_means(time_s: FloatArray, values: FloatArray, period_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return the start of each block of time [s], and means over it: for down-sampling recordings to one minute.
-
-    Block k covers ``k * period_s <= time_s < (k + 1) * period_s``; blocks without a row do not appear, so that gaps
-    stay gaps. Values that are missing (NaN) are left out of their mean. Raises ValueError when period, lengths or times
-    are wrong.
-    """
-    if not period_s > 0:
-        raise ValueError(f"period_s must be positive, got {period_s}")
-    if time_s.ndim != 1 or len(values) != len(time_s):
-        raise ValueError(f"{len(values)} rows of values need as many times, got shape {time_s.shape}")
-    if len(time_s) == 0:
-        return time_s.copy(), values.copy()
-    if np.any(np.diff(time_s) <= 0):
-        raise ValueError(f"times do not increase at row {int(np.argmax(np.diff(time_s) <= 0)) + 2}")
-    block = np.floor(time_s / period_s)
-    starts = np.flatnonzero(np.diff(block, prepend=-np.inf))
-    table = values.reshape(len(values), -1)
-    known = np.isfinite(table)
-    count = np.add.reduceat(known.astype(np.int64), starts, axis=0)
-    total = np.add.reduceat(np.where(known, table, 0.0), starts, axis=0)
-    means = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-    return block[starts] * period_s, means.reshape(len(starts), *values.shape[1:])
-
-
-def contiguous_runs(time_s: FloatArray, period_s: float) -> list[tuple[int, int]]:
-    """Return the (first, past-the-last) row of each stretch whose steps are at most one and a half `period_s`."""
-    if len(time_s) == 0:
-        return []
-    breaks: npt.NDArray[np.intp] = np.flatnonzero(np.diff(time_s) > 1.5 * period_s) + 1
-    bounds = [0, *breaks.tolist(), len(time_s)]
-    return list(itertools.pairwise(bounds))
 
 
 class DatasetError(RefusedInputError, ValueError):
@@ -52,7 +17,10 @@ class DatasetError(RefusedInputError, ValueError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recording:
-    """Temperatures and displacements over time; raises DatasetError where they do not fit together."""
+    """Temperatures and displacements over time.
+
+    Raises DatasetError when shapes and names do not fit together, or times are not finite and increasing.
+    """
 
     name: str
     """Where it came from, for messages and reports."""
@@ -125,7 +93,10 @@ class Recording:
         )
 
     def between_hours(self, from_hours: float, to_hours: float) -> "Recording":
-        """Return the rows with ``from_hours <= time < to_hours``, counted from the first; raises DatasetError."""
+        """Return the rows with ``from_hours <= time < to_hours``, counted from the first row [h].
+
+        Raises DatasetError when no row lies there.
+        """
         if not from_hours < to_hours:
             raise DatasetError(f"{self.name}: hours {from_hours:g} to {to_hours:g} run backwards")
         first, stop = np.searchsorted(self.time_s, (from_hours * 3600.0, to_hours * 3600.0), side="left")
@@ -142,7 +113,10 @@ class Recording:
         return f"hours {self.time_s[0] / 3600.0:.2f} to {self.time_s[-1] / 3600.0:.2f}"
 
     def with_channels(self, names: tuple[str, ...]) -> "Recording":
-        """Return the recording with the named displacement channels only, in that order; raises DatasetError."""
+        """Return the recording with the named displacement channels only, in that order.
+
+        Raises DatasetError when a channel does not exist.
+        """
         if unknown := [name for name in names if name not in self.displacement_names]:
             raise DatasetError(
                 f"{self.name}: there is no displacement channel {', '.join(unknown)}; "
@@ -157,7 +131,7 @@ class Recording:
         )
 
     def downsampled(self, period_s: float) -> "Recording":
-        """Return block means over `period_s` [s] (see `models.recordings.dataset.block_means`).
+        """Return block means over `period_s` [s] (see `models.recordings.blocks.block_means`).
 
         A recording that is already sampled at the period, or more slowly, is returned unchanged:
         means cannot add rows.

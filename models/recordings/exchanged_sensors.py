@@ -1,8 +1,9 @@
 """Finds temperature sensors that were exchanged in pairs from one recording on, or in one recording.
 
-Every sensor is predicted from the others by a ridge fitted on the other recordings. Where two were exchanged, what they
-leave is large, and small again with the two changed back, both ways. Where others still do not fit, which they were is
-not told.
+Every sensor is predicted from the others by a ridge that was fitted on the other recordings, all counted from their
+means. Where two were exchanged, what they leave there is large, and small again with the two changed back, both ways:
+when the recordings with the exchange are predicted from those without, and the other way round. Where others still do
+not fit with all of them changed back, other pairs may explain as much, and which sensors it were is not told.
 """
 
 from collections.abc import Iterator, Sequence
@@ -43,7 +44,10 @@ class Exchange:
 
 
 def exchanges(recordings: Sequence[Recording]) -> list[Exchange]:
-    """Return which sensors were exchanged in `recordings` alike, in order of time; nothing where too few can tell."""
+    """Return which sensors were exchanged; nothing where there are too few recordings, sensors or rows to tell.
+
+    `recordings`: with the same columns, in order of time, without values that cannot be.
+    """
     if not recordings or any(one.temperature_names != recordings[0].temperature_names for one in recordings):
         return []
     parts = parts_of([recording.downsampled(SAMPLE_S) for recording in recordings], 1)

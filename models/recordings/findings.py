@@ -6,7 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from models.recordings.dataset import DatasetError, Recording, contiguous_runs
+from models.recordings.blocks import contiguous_runs
+from models.recordings.dataset import DatasetError, Recording
 from models.recordings.exchanged_sensors import Exchange, exchanges
 from models.recordings.plausibility import (
     HIGHEST_DEGC,
@@ -80,7 +81,10 @@ class Finding:
 
 
 def recording_findings(recording: Recording, rows_together: int | None = None) -> tuple[Finding, ...]:
-    """Return everything that is wrong or noteworthy in a recording as it was read, errors first."""
+    """Return everything that is wrong or noteworthy in a recording, errors first.
+
+    `recording`: the recording as it was read. `rows_together`: see `require_usable`.
+    """
     possible = recording.without_impossible()
     found = [
         *_rows(recording, rows_together),
@@ -106,10 +110,13 @@ def _once(found: Sequence[Finding]) -> list[Finding]:
 
 
 def require_usable(recording: Recording, rows_together: int | None = None) -> tuple[Finding, ...]:
-    """Return the warnings of a recording that training may use; raises DatasetError naming every error.
+    """Return the warnings of a recording that training may use.
 
-    `rows_together`: rows of all recordings that are used together, which must be more than the variables; None: it is
-    used alone.
+    Result: gaps, missing values, constant sensors. Raises DatasetError naming every error: fewer rows than variables,
+    columns without values, units that cannot be right.
+
+    `recording`: the recording as it was read. `rows_together`: rows of all recordings that are used together with this
+    one, which have to be more than the variables; None: it is used alone.
     """
     found = recording_findings(recording, rows_together)
     if errors := [finding for finding in found if finding.severity == "error"]:
@@ -118,7 +125,10 @@ def require_usable(recording: Recording, rows_together: int | None = None) -> tu
 
 
 def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
-    """Return recordings that may be used together, without values that cannot be, and warnings; raises DatasetError."""
+    """Return recordings that may be used together, without values that cannot be, and the warnings about them.
+
+    Raises DatasetError naming every error of the first recording that has one, see `require_usable`.
+    """
     together = sum(recording.rows for recording in recordings)
     warnings = said_together([(r.name, str(finding)) for r in recordings for finding in require_usable(r, together)])
     possible = [recording.without_impossible() for recording in recordings]

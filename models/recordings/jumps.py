@@ -16,10 +16,17 @@ def remove_jumps_at_switching(
 ) -> FloatArray:
     """Return displacements without the jumps at which the spindle was switched on or off.
 
-    For training data only; tests and reports use the raw displacements (section 3.3.1 of the source). Where the spindle
-    starts or stops between two samples and a channel varies by more than the threshold between them, that variation is
-    taken off all later samples of the channel. Missing samples (NaN) are stepped over; an unknown speed repeats the
-    previous state.
+    For training data only; tests and reports use the raw displacements (section 3.3.1 of the
+    source). Where the spindle starts or stops between two samples and a channel varies by more
+    than the threshold between them, that variation is taken off all later samples of the channel.
+
+    Result: a new array; the argument is not changed. Raises ValueError when the lengths differ or the threshold is
+    negative.
+
+    `displacement_um`, shape (n,) or (n, n_channels): displacements [um]; a missing sample (NaN) stays missing, and the
+    variation is then taken between the nearest samples before and after. `speed_rpm`, shape (n,): spindle speed
+    [1/min]; the spindle is on where it is not zero. Unknown (NaN) repeats the previous state. `threshold_um`: smaller
+    variations are left alone [um].
     """
     if speed_rpm.ndim != 1 or len(speed_rpm) != len(displacement_um):
         raise ValueError(f"{len(displacement_um)} displacement rows need as many speeds, got shape {speed_rpm.shape}")
@@ -41,10 +48,17 @@ def remove_sudden_jumps(
 ) -> FloatArray:
     """Return displacements without the jumps at which the spindle was switched on or off, whatever the sampling.
 
-    `remove_jumps_at_switching` looks at variations over a minute, which on a slowly sampled recording, on a quick
-    machine or with a noisy sensor are warming or noise rather than a jump. Here the threshold grows with the time
-    between the samples, from a minute on, and with the noise; and only what the variation has beyond the next one
-    counts, and is taken off all later samples, because warming goes on where a jump does not.
+    `remove_jumps_at_switching` looks at variations over a minute, which on a slowly sampled recording, on a
+    quick machine or with a noisy sensor are warming or noise rather than a jump. Here the threshold grows with the
+    time between the samples, from a minute on, and with the noise; and only what the variation has beyond the
+    next one counts, because warming goes on where a jump does not.
+
+    Result of shape (n, n_channels): a new array; what a jump has beyond the next variation is taken off all later
+    samples.
+
+    `time_s`, shape (n,): increasing times [s]. `displacement_um`, shape (n, n_channels): displacements [um], NaN where
+    missing. `speed_rpm`, shape (n,): spindle speed [1/min]; NaN repeats the previous state. `threshold_um`: smaller
+    jumps are left alone [um].
     """
     cleansed, on = displacement_um.copy(), _spindle_on(speed_rpm)
     for channel in range(displacement_um.shape[1]):
@@ -64,10 +78,13 @@ def remove_sudden_jumps(
 
 
 def scatter_um(segments: Sequence[FloatArray]) -> FloatArray:
-    """Return the standard deviation of displacements' noise per channel [um], robust against what moves smoothly.
+    """Return the standard deviation of what is noise in displacements, robust against what moves smoothly.
 
-    Third differences are zero for a parabola; those of white noise have sqrt(20) times its deviation. Zeros where no
-    stretch has four rows with a value.
+    Third differences are zero for a parabola; those of white noise have sqrt(20) times its deviation.
+
+    Result of shape (n_channels,): [um]; zeros where no stretch has four rows with a value.
+
+    `segments`: displacements of stretches without a hole [um], each of shape (n, n_channels), NaN where missing.
     """
     differences = np.vstack([np.diff(segment, n=3, axis=0) for segment in segments])
     known = [column[np.isfinite(column)] for column in differences.T]

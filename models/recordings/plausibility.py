@@ -24,21 +24,32 @@ BoolArray = npt.NDArray[np.bool_]
 
 
 def impossible_temperatures(degc: FloatArray) -> BoolArray:
-    """Return where temperatures [degC] cannot be.
+    """Return where temperatures cannot be.
 
-    Nowhere of a sensor of which half of them cannot: the unit of the column is wrong, or it was never connected.
+    Result of shape (n, n_sensors): all False for a sensor of which that holds for half of the values or more: then the
+    unit of the column is wrong, or the sensor was never connected.
+
+    `degc`, shape (n, n_sensors): temperatures [degC], NaN where missing.
     """
     return _of_few((degc < LOWEST_DEGC) | (degc > HIGHEST_DEGC), degc)
 
 
 def are_rises(degc: FloatArray) -> bool:
-    """Return whether temperatures are rises since the start: each begins at zero."""
+    """Return whether temperatures are rises since the start: each begins at zero.
+
+    `degc`, shape (n, n_sensors): temperatures [degC], NaN where missing.
+    """
     known = [column[np.isfinite(column)] for column in degc.T]
     return bool(known) and all(len(values) and abs(values[0]) <= RISE_START_K for values in known)
 
 
 def impossible_displacements(displacements_um: FloatArray) -> BoolArray:
-    """Return where displacements lie farther from the others than any sensor reaches; nowhere where most do."""
+    """Return where displacements lie farther from the others than any sensor reaches.
+
+    Result of shape (n, n_channels): all False for a channel that moves so far as a rule: then its unit is wrong.
+
+    `displacements_um`, shape (n, n_channels): displacements [um], NaN where missing.
+    """
     far_um = np.abs(displacements_um - column_medians(displacements_um))
     return _of_few(far_um > FARTHEST_UM, far_um) & (column_medians(far_um) <= USUAL_SPREAD_UM)
 

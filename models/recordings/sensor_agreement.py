@@ -1,8 +1,10 @@
 """Finds temperature sensors that contradict the others: stuck for a while, or different in one recording.
 
-Every sensor is predicted from the others by a ridge that was fitted on the other recordings (or parts), all counted
-from their means. One that leaves many times what it usually does in one recording, or stands still while the others say
-that it moved, is named, and does not predict any more.
+Every sensor is predicted from the others by a ridge that was fitted on the other recordings (on the other parts, where
+there are fewer than three), all counted from their means, so that offsets do not matter. What a sensor usually leaves
+there tells how well the others know it; a sensor that leaves many times as much in one recording, or whose value stands
+still while the others say that it moved, is named. One that is named does not predict any more, so that it cannot draw
+others in.
 """
 
 from collections.abc import Collection, Sequence
@@ -65,7 +67,11 @@ class Part:
 
 
 def disagreements(recordings: Sequence[Recording], without: Collection[int] = ()) -> list[Disagreement]:
-    """Return what contradicts the rest, sensors `without` left out, the worst first; nothing where too few can tell."""
+    """Return what contradicts the rest, the worst first; nothing where there are too few sensors or rows to tell.
+
+    `recordings`: with the same columns, without values that cannot be. `without`: sensors of which is known already
+    that something is wrong (indices from 0).
+    """
     if not recordings or recordings[0].sensors < 3:
         return []
     if any(r.temperature_names != recordings[0].temperature_names for r in recordings):

@@ -16,9 +16,13 @@ SLOWEST_RPM, FASTEST_RPM = 1e-3, 1e7
 
 
 def resonance_speed_rpm(resonance_hz: float, offset_hz: float, teeth: int, lobe: int) -> float:
-    """Return the speed of equation 5-9, ``60 (f_r - f_o) / (n_T k_c)`` [1/min]; raises StabilityError.
+    """Return the speed of equation 5-9, ``60 (f_r - f_o) / (n_T k_c)``.
 
-    `offset_hz`: signed distance f_o that the tooth passing keeps below f_r. `lobe`: k_c, 1 for the fastest pocket.
+    Result: spindle speed [1/min]. Raises StabilityError when teeth or lobe are below 1, nothing is left of the
+    resonance, or no spindle turns so fast or slowly.
+
+    `resonance_hz`: tracked resonance f_r [Hz]. `offset_hz`: signed distance f_o that the tooth passing keeps below it
+    [Hz]. `teeth`: n_T (printed as n_r in the dissertation). `lobe`: k_c, 1 for the fastest pocket.
     """
     if teeth < 1 or lobe < 1:
         raise StabilityError(f"{teeth} teeth and lobe {lobe} give no speed; both count from 1")
@@ -47,7 +51,10 @@ class SpeedLimits:
     """Greatest change against the programmed speed, as a share of it."""
 
     def range_rpm(self, programmed_rpm: float) -> tuple[float, float]:
-        """Return the lowest and highest speed allowed [1/min]; raises StabilityError when the limits leave nothing."""
+        """Return the lowest and highest speed allowed [1/min].
+
+        Raises StabilityError when the limits leave nothing.
+        """
         low = max(self.machine_lowest_rpm, programmed_rpm * max(1.0 - self.within_fraction, 0.0))
         high = min(self.machine_highest_rpm, self.tool_highest_rpm, programmed_rpm * (1.0 + self.within_fraction))
         if not 0.0 < low < high:
@@ -79,10 +86,16 @@ def choose_speed(
     range_rpm: tuple[float, float] | None = None,
     candidates_rpm: Sequence[float] | None = None,
 ) -> SpeedChoice:
-    """Return the speed nearest to the programmed one that is stable to the demand in both axes.
+    """Return the speed nearest to the programmed one that is stable to the demand.
 
-    The programmed speed with an alarm when nothing is. `lobes`: over the range that is allowed, better a little beyond
-    it. `candidates_rpm`: speeds to choose among, such as those of equation 5-9; None: all. Raises StabilityError.
+    Both axes are checked, because the lobes hold both.
+
+    Result: the programmed speed with an alarm when nothing is stable to the demand. Raises StabilityError when depth,
+    margin or tolerance are out of range.
+
+    `lobes`: over the range of speeds that is allowed, better a little beyond it. `demand`: programmed speed and depth,
+    margin and tolerance. `range_rpm`: lowest and highest speed allowed [1/min]; None: those of the lobes.
+    `candidates_rpm`: speeds to choose among, such as those of equation 5-9 [1/min]; None: all.
     """
     if not demand.depth_mm > 0.0 or demand.margin_fraction < 0.0 or not 0.0 <= demand.tolerance_fraction < 0.5:
         raise StabilityError(
@@ -124,7 +137,12 @@ def choose_speed(
 def deepest_speed(
     lobes: StabilityLobes, demand: SpeedDemand, range_rpm: tuple[float, float] | None = None
 ) -> SpeedChoice | None:
-    """Return the speed that bears most within the tolerance; None where that is below the programmed depth."""
+    """Return the speed that bears most within the tolerance to both sides, for when none bears depth and margin.
+
+    None when even there the limiting depth is below the programmed one.
+
+    The parameters are those of `choose_speed`; the margin of the demand is not asked for.
+    """
     speeds, depths = lobes.speed_rpm, lobes.limiting_depth_mm
     low, high = range_rpm or (float(speeds[0]), float(speeds[-1]))
     inside = np.flatnonzero((speeds >= low) & (speeds <= high))
@@ -154,7 +172,10 @@ def limiting_depth_mm(lobes: StabilityLobes, speed_rpm: float) -> float:
 def rule_candidates_rpm(
     resonances_hz: Sequence[float], offset_hz: float, teeth: int, range_rpm: tuple[float, float]
 ) -> tuple[float, ...]:
-    """Return the speeds of equation 5-9 for the resonances of both axes and every lobe within a range [1/min]."""
+    """Return the speeds of equation 5-9 for the resonances of both axes and every lobe within a range [1/min].
+
+    Raises StabilityError as `resonance_speed_rpm`.
+    """
     found = []
     for resonance_hz in resonances_hz:
         fastest = resonance_speed_rpm(resonance_hz, offset_hz, teeth, 1)

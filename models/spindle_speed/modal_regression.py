@@ -40,7 +40,12 @@ class ModalSample:
 
 
 class ModalRegression:
-    """Modes as functions of temperatures, fitted on more impact tests than variables; raises StabilityError."""
+    """Modes as functions of temperatures.
+
+    Raises StabilityError with too few tests, other modes from test to test, or a mode without a positive gain.
+
+    `samples`: impact tests, more than there are variables (1 + 3 m).
+    """
 
     def __init__(self, samples: Sequence[ModalSample]) -> None:
         first = samples[0] if samples else None
@@ -87,7 +92,10 @@ def _variables(degc: FloatArray, difference_k: FloatArray) -> FloatArray:
 
 
 class SignalHistory:
-    """Means of labelled sensors over the last minute, and their change; `labels`: signal -> indices of sensors."""
+    """Means of labelled sensors over the last minute, and their change over the interval.
+
+    `labels`: signal -> indices into the machine's sensor order, whose mean it is.
+    """
 
     def __init__(self, labels: Mapping[str, Sequence[int]]) -> None:
         self._indices = [np.array(each, dtype=np.intp) for each in labels.values()]
@@ -113,7 +121,11 @@ class SignalHistory:
 
 
 class ModalEstimator:
-    """Tool point from temperatures, reading by reading (`ToolPointEstimator`); `labels` in the regression's order."""
+    """Tool point from temperatures, reading by reading (`ToolPointEstimator`).
+
+    `regression`: fitted on the machine's own impact tests. `labels`: signal -> indices into the machine's sensor order,
+    in the order of the regression.
+    """
 
     def __init__(self, regression: ModalRegression, labels: Mapping[str, Sequence[int]]) -> None:
         self._regression = regression

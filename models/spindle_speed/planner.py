@@ -47,7 +47,11 @@ class MillingOperation:
 
 
 class SpeedPlanner:
-    """Plans the speed of one operation; `check` verifies each chosen speed, None: the lobes decide."""
+    """Plans the speed of one operation.
+
+    `operation`: what is programmed. `lobes_of`: response -> lobes. `check`: verifies each chosen speed; None: the lobes
+    decide.
+    """
 
     def __init__(
         self, operation: MillingOperation, lobes_of: LobesOf, check: StabilityVerification | None = None
@@ -183,7 +187,12 @@ class SpeedPlanner:
     def change_per_step_rpm(
         self, known: EstimatedToolPoint, moved: Mapping[str, EstimatedToolPoint]
     ) -> dict[str, float]:
-        """Return per signal how far the choice moves when it reads one step of its resolution more [1/min]."""
+        """Return how far the choice moves when one signal reads one step of its resolution more [1/min].
+
+        Result: signal -> change [1/min].
+
+        `known`: the dynamics of now. `moved`: signal -> the dynamics with that signal one step higher.
+        """
         here = self.choice(known).speed_rpm
         return {signal: abs(self.choice(each).speed_rpm - here) for signal, each in moved.items()}
 

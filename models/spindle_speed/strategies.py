@@ -50,7 +50,10 @@ class ProgrammedSpeed:
 
 
 class ResonanceRule:
-    """Equation 5-9 on one axis: the speed follows the tracked resonance, less f_o, at every safe block."""
+    """Equation 5-9 on one axis: the speed follows the tracked resonance at every safe block.
+
+    `operation`: what is programmed. `axis`: the axis whose resonance is followed. `offset_hz`: signed f_o [Hz].
+    """
 
     def __init__(self, operation: MillingOperation, *, axis: str, offset_hz: float = 20.0) -> None:
         self._operation, self._axis, self._offset_hz = operation, axis, offset_hz
@@ -78,7 +81,11 @@ class ResonanceRule:
 
 
 class TunedSpeed:
-    """The speed nearest to the programmed one that is stable to the depth, commanded by `speed_tuning.step`."""
+    """The speed nearest to the programmed one that is stable to the depth, commanded by `speed_tuning.step`.
+
+    `operation`: what is programmed. `settings`: hysteresis, dwell, step, filter. `lobes_of`: response -> lobes.
+    `check`: verifies each chosen speed; None: the lobes decide.
+    """
 
     def __init__(
         self,

@@ -25,4 +25,8 @@ class ToolPointEstimator(Protocol):
     """Anything that turns temperatures into the dynamics of the tool point."""
 
     def renew(self, time_s: float, degc: FloatArray) -> EstimatedToolPoint | None:
-        """Return the dynamics when the sensors read `degc`, NaN where there is none; None before there are any."""
+        """Return the dynamics when the sensors read `degc` [degC], shape (n,); None before there are any.
+
+        `time_s`: time of the reading, never before that of the last call [s]. `degc`: one value for each sensor of the
+        machine [degC], NaN where there is none.
+        """

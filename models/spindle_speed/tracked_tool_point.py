@@ -19,7 +19,13 @@ LEAST_SHARE = 0.5
 
 
 class TrackedToolPoint:
-    """`ToolPointTracker` as a `ToolPointEstimator`; `labels`: signal -> indices of sensors, at least one."""
+    """`ToolPointTracker` as a `ToolPointEstimator`.
+
+    Raises ValueError when a signal has no sensors.
+
+    `tracker`: renews the dynamics from the signals of its model. `labels`: signal -> indices into the machine's sensor
+    order, whose mean it is; those of the tracker's model.
+    """
 
     def __init__(self, tracker: ToolPointTracker, labels: Mapping[str, Sequence[int]]) -> None:
         signals = tracker.model.signals

@@ -51,7 +51,12 @@ class SpeedTuningSettings:
             raise SpeedTuningError(f"{' and '.join(bad)} out of range; hysteresis and step above 0, times at least 0")
 
     def check_resolution(self, change_per_step_rpm: float) -> None:
-        """Refuse a hysteresis that is not above twice what a step of a sensor moves; raises SpeedTuningError."""
+        """Refuse settings that one step of a sensor's resolution could set in motion.
+
+        Raises SpeedTuningError when the hysteresis is not above twice that change.
+
+        `change_per_step_rpm`: largest change of the wanted speed per step of one sensor [1/min].
+        """
         if not self.hysteresis_rpm > 2.0 * change_per_step_rpm:
             raise SpeedTuningError(
                 f"one step of a sensor moves the speed by {change_per_step_rpm:.3g} 1/min and the hysteresis is "
@@ -146,7 +151,12 @@ def initial_memory(programmed_rpm: float) -> SpeedTuningMemory:
 def step(
     memory: SpeedTuningMemory, inputs: SpeedTuningInputs, settings: SpeedTuningSettings
 ) -> tuple[SpindleSpeedCommand, SpeedTuningMemory]:
-    """Return the command and the next memory; raises SpeedTuningError when the programmed speed or feed is none."""
+    """Return the command and the next memory.
+
+    Result: command and memory. Raises SpeedTuningError when the programmed speed or feed is no positive number.
+
+    `memory`: from the step before, or `initial_memory`. `settings`: hysteresis, dwell, step, filter.
+    """
     if not (0.0 < inputs.programmed_rpm < math.inf and 0.0 < inputs.programmed_feed_mm_min < math.inf):
         raise SpeedTuningError(
             f"S{inputs.programmed_rpm:g} and F{inputs.programmed_feed_mm_min:g} are no speed and feed; both above 0"

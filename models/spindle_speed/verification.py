@@ -36,7 +36,11 @@ OUTSIDE_DAMPING = 0.05
 
 
 class StabilityVerification:
-    """Says by the spectral radius whether the vibration of a cut dies away fast enough in all feed directions."""
+    """Says whether the vibration of a cut dies away fast enough, by the spectral radius over a tooth passing.
+
+    `cut`: engagement and cutting coefficients. `feeds_deg`: directions of the feed against X [deg]; the cut must be
+    stable in all of them. `least_decay_per_s`: slowest decay that counts as stable [1/s].
+    """
 
     def __init__(
         self, cut: Cut, feeds_deg: tuple[float, ...] = (0.0,), least_decay_per_s: float = LEAST_DECAY_PER_S
@@ -52,8 +56,11 @@ class StabilityVerification:
     def denial(self, response: ToolPointResponse, speed_rpm: float, depth_mm: float, tolerance: float) -> str:
         """Return why a depth cannot be cut at a speed and at both ends of its tolerance, '' when it can.
 
-        Also where no modes follow the response, or vibrations are too many from tooth to tooth: what cannot be verified
-        is denied. An axis that acts on the other denies every speed. `tolerance`: share of the speed to both sides.
+        Result: also where no modes follow the response, or vibrations are too many from tooth to tooth: what cannot be
+        verified is denied.
+
+        `response`: the tool point; an axis that acts on the other denies every speed. `speed_rpm`: the chosen speed
+        [1/min]. `depth_mm`: axial depth of cut [mm]. `tolerance`: share of the speed to both sides.
         """
         try:
             modes = self.modes(response)

@@ -18,7 +18,8 @@ import numpy.typing as npt
 
 from models.errors import StabilityError
 from models.records import FloatArray
-from models.stability.spectra import OVERLAP, SpectrumFrame, check_clipping, check_length, spectrum, window_samples
+from models.stability.signal_checks import check_clipping, check_length
+from models.stability.spectra import OVERLAP, SpectrumFrame, spectrum, window_samples
 
 BoolArray = npt.NDArray[np.bool_]
 HARMONICS_FOR_SPEED = 6
@@ -94,11 +95,20 @@ class ChatterVerdict:
     frames: tuple[FrameVerdict, ...]
 
 
-def judge_frame(frame: SpectrumFrame, speed_rpm: float, teeth: int, machine: FloatArray | None = None) -> FrameVerdict:
-    """Return the verdict of one window, with the strongest line that is not forced; raises StabilityError.
+def judge_frame(
+    frame: SpectrumFrame,
+    speed_rpm: float,
+    teeth: int,
+    machine: FloatArray | None = None,
+) -> FrameVerdict:
+    """Return the verdict of one window.
 
-    `speed_rpm`: to within the tolerance. `machine`: what the machine has without this cut, from
-    `models.stability.spectra`; None: not known.
+    Result: with the strongest line that is not forced, whether it counts or not. Raises StabilityError when the tooth
+    passing is above half the sampling rate.
+
+    `frame`: its spectrum. `speed_rpm`: spindle speed [1/min], to within the tolerance. `teeth`: number of teeth.
+    `machine`: what the machine has without this cut, from `models.stability.spectra`, shape (n,); None when that is not
+    known.
     """
     spacing_hz = float(frame.frequency_hz[1])
     passing_hz = _passing_hz(frame, speed_rpm * teeth / 60.0)
@@ -250,9 +260,18 @@ def speed_warning(verdict: ChatterVerdict, speed_rpm: float, teeth: int) -> str 
 
 
 class ChatterMonitor:
-    """Judges a stream of samples, window by window, as they arrive; see `detect_chatter`."""
+    """Judges a stream of samples, window by window, as they arrive.
 
-    def __init__(self, sample_rate_hz: float, speed_rpm: float, teeth: int, machine: FloatArray | None = None) -> None:
+    It takes what `detect_chatter` does, but for the samples.
+    """
+
+    def __init__(
+        self,
+        sample_rate_hz: float,
+        speed_rpm: float,
+        teeth: int,
+        machine: FloatArray | None = None,
+    ) -> None:
         self._machine = machine
         self._rate_hz, self._teeth = sample_rate_hz, teeth
         self._length = window_samples(sample_rate_hz)
@@ -268,7 +287,10 @@ class ChatterMonitor:
         return self._run >= FRAMES_IN_A_ROW
 
     def push(self, acceleration_m_s2: FloatArray) -> list[FrameVerdict]:
-        """Take samples [m/s^2], any number, and return the verdicts of the windows that they complete."""
+        """Take samples [m/s^2], any number, and return the verdicts of the windows that they complete.
+
+        Raises StabilityError as `judge_frame`.
+        """
         self._held = np.concatenate((self._held, acceleration_m_s2))
         verdicts = []
         while len(self._held) >= self._length:
@@ -288,10 +310,13 @@ def detect_chatter(
     teeth: int,
     machine: FloatArray | None = None,
 ) -> ChatterVerdict:
-    """Judge a whole recording: chatter or not, its frequency, and every frame.
+    """Judge a whole recording.
 
-    Raises StabilityError when the recording is too short or clipped, or the tooth passing beyond its reach. `machine`:
-    see `judge_frame`.
+    Result: chatter or not, its frequency, and every frame. Raises StabilityError when the recording is too short or
+    clipped, or the tooth passing beyond its reach.
+
+    `acceleration_m_s2`: shape (n,) [m/s^2]. `sample_rate_hz`: samples per second [Hz]. `speed_rpm`: spindle speed
+    [1/min]. `teeth`: number of teeth. `machine`: see `judge_frame`.
     """
     check_length(len(acceleration_m_s2), sample_rate_hz, window_samples(sample_rate_hz))
     check_clipping(acceleration_m_s2)

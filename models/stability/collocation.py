@@ -53,11 +53,28 @@ def radius_bounds(
     depth_mm: float,
     limits: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return a lower and an upper bound of the spectral radius per tooth passing, shapes (n_feeds, n_speeds).
+    """Return a lower and an upper bound of the spectral radius per tooth passing.
 
-    inf where the vibration grows beyond all numbers. `limits`: what the radius is compared with at each speed: where
-    every bound lies on one side of it, they are not narrowed further; None: within a thousandth. Raises StabilityError
-    when nothing can move, a speed or depth is not above 0, or a mode vibrates too often from tooth to tooth.
+    Result: two arrays of the shape (n_feeds, n_speeds); inf where the vibration grows beyond all numbers. Raises
+    StabilityError when nothing can move, a speed or depth is not above 0, or a mode vibrates too often from tooth to
+    tooth.
+
+    Parameters
+    ----------
+    response
+        Modes of the structure, in machine axes.
+    cut
+        Engagement and cutting coefficients.
+    feeds_deg
+        Directions of the feed against X [deg].
+    speeds_rpm
+        Spindle speeds [1/min].
+    depth_mm
+        Axial depth of cut [mm].
+    limits
+        What the radius is compared with at each speed: where every bound lies on one side of it, they are not
+        narrowed further. None: within a thousandth.
+
     """
     speeds = np.asarray(speeds_rpm, dtype=np.float64)
     if not (bool(np.all(speeds > 0.0)) and depth_mm > 0.0):
@@ -71,7 +88,12 @@ def spectral_radii(
 ) -> FloatArray:
     """Return the spectral radius per tooth passing at each depth of cut; below 1 the cut is stable.
 
-    Values and errors are those of `radius_bounds`.
+    Result: shape (n,); inf where the vibration grows beyond all numbers. Raises StabilityError when nothing can move,
+    the speed or a depth is not above 0, or a mode vibrates too often from tooth to tooth.
+
+    `response`: modes of the structure, in machine axes. `cut`: engagement and cutting coefficients. `feed_deg`:
+    direction of the feed against X [deg]. `speed_rpm`: spindle speed [1/min]. `depths_mm`: axial depths of cut [mm],
+    shape (n,).
     """
     depths = np.asarray(depths_mm, dtype=np.float64)
     if not (speed_rpm > 0.0 and bool(np.all(depths > 0.0))):

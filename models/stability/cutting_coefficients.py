@@ -163,10 +163,17 @@ def fit_mean_forces(
     mean_force_y_n: FloatArray,
     material: str = "fitted",
 ) -> CoefficientFit:
-    """Fit the four coefficients to mean forces over whole turns at several feeds; raises StabilityError.
+    """Fit the four coefficients to mean forces over whole turns at several feeds.
 
-    The mean of the law over a turn is linear in feed per tooth: its slope gives K_tc and K_rc, its intercept K_te and
-    K_re. Of `cut` its coefficients are not used. Forces on the tool along the feed and normal to it [N], shape (n,).
+    The mean of the law over a turn is linear in feed per tooth: its slope gives K_tc and K_rc, its
+    intercept K_te and K_re.
+
+    Result: coefficients and residual. Raises StabilityError with fewer than two feeds, forces that are no numbers, or a
+    tangential coefficient that is not positive.
+
+    `cut`: engagement and teeth; its coefficients are not used. `depth_mm`: axial depth of cut [mm].
+    `feed_per_tooth_mm`: shape (n,) [mm], at least two different feeds. `mean_force_x_n`, `mean_force_y_n`: mean force
+    on the tool along the feed and normal to it [N], shape (n,). `material`: name of the result.
     """
     feeds = np.asarray(feed_per_tooth_mm, dtype=np.float64)
     if len(np.unique(feeds)) < 2:
@@ -209,7 +216,10 @@ def _mean_force_matrices(cut: Cut) -> tuple[FloatArray, FloatArray]:
         sine, cosine, double = math.sin(angle), math.cos(angle), 2.0 * angle
         square = angle / 2.0 - math.sin(double) / 4.0
         product = -math.cos(double) / 4.0
-        return (np.array([[-product, -square], [square, -product]]), np.array([[-sine, cosine], [-cosine, -sine]]))
+        return (
+            np.array([[-product, -square], [square, -product]]),
+            np.array([[-sine, cosine], [-cosine, -sine]]),
+        )
 
     last_area, last_edge = antiderivatives(cut.exit_rad)
     first_area, first_edge = antiderivatives(cut.start_rad)

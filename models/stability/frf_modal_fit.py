@@ -60,8 +60,12 @@ class ModalFit:
 def fit_modes(
     frequency_hz: FloatArray, receptance: ComplexArray, pairs: int | None = None, start: ModalFit | None = None
 ) -> ModalFit:
-    """Fit modes to a receptance, in ascending frequency, and say how well they fit; raises StabilityError.
+    """Fit modes to a receptance.
 
+    Result: modes in ascending frequency and how well they fit. Raises StabilityError with too few samples, with one
+    that is not finite, or when no sum of up to twelve modes follows them.
+
+    `frequency_hz`: ascending [Hz], shape (n,). `receptance`: displacement per force [m/N], shape (n,), complex.
     `pairs`: number of pole pairs to begin with; None finds it. `start`: fit of a response that was nearly the same: its
     modes are moved to this one. Where that fits worse than before, everything begins anew.
     """

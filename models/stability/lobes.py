@@ -46,7 +46,10 @@ class StabilityLobes:
 
 
 def lowest_of(each: Sequence[StabilityLobes]) -> StabilityLobes:
-    """Return the lowest of several lobes at each of their common speeds, `feed_deg` of the lowest minimum."""
+    """Return the lowest of several lobes at each of their common speeds.
+
+    `feed_deg` of the result belongs to the lowest minimum.
+    """
     depths = np.array([lobes.limiting_depth_mm for lobes in each])
     chosen = np.argmin(depths, axis=0)
     columns = np.arange(depths.shape[1])
@@ -72,7 +75,13 @@ def check_range(from_rpm: float, to_rpm: float, points: int) -> None:
 
 
 def check_lines(frequency_hz: FloatArray, teeth: int, from_rpm: float, to_rpm: float) -> tuple[str, ...]:
-    """Return warnings about the band of a sampled FRF; raises StabilityError where tooth passings lie outside it."""
+    """Return warnings about the band of a sampled FRF.
+
+    Raises StabilityError when the FRF ends below the highest tooth-passing frequency or begins above it.
+
+    `frequency_hz`: its ascending frequencies [Hz], shape (n,). `teeth`: number of teeth. `from_rpm`, `to_rpm`: range of
+    speeds [1/min].
+    """
     low, high = float(frequency_hz[0]), float(frequency_hz[-1])
     first, last = tooth_passing_hz(from_rpm, teeth), tooth_passing_hz(to_rpm, teeth)
     if high < last or low > last:

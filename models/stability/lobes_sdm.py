@@ -58,11 +58,29 @@ def semi_discretised_lobes(
     max_depth_mm: float | None = None,
     steps: int | None = None,
 ) -> StabilityLobes:
-    """Return the lobes between two spindle speeds, flip lobes with them; inf up to the greatest depth.
+    """Return the lobes between two spindle speeds, flip lobes with them.
 
-    `max_depth_mm`: None takes 60 times `typical_depth_mm`. An island of instability is looked for wherever the radius
-    has a maximum over depth, sampled every 11 %. `steps`: per tooth passing of the semi-discretisation; None: by
-    collocation. Raises StabilityError when the range is none or nothing can move.
+    Result: inf where the cut is stable up to the greatest depth. Raises StabilityError when the range is none or
+    nothing can move.
+
+    Parameters
+    ----------
+    response
+        Modes of the structure, in machine axes.
+    cut
+        Engagement and cutting coefficients.
+    from_rpm, to_rpm
+        Range of speeds [1/min].
+    points
+        Number of evenly spaced speeds.
+    feed_deg
+        Direction of the feed against X [deg].
+    max_depth_mm
+        Greatest depth tried [mm]; None takes 60 times `typical_depth_mm`. An island of instability
+        is looked for wherever the radius has a maximum over depth, sampled every 11 %.
+    steps
+        Steps per tooth passing of the semi-discretisation; None: by collocation.
+
     """
     check_range(from_rpm, to_rpm, points)
     methods = _Methods(response, cut, feed_deg, steps)
@@ -96,7 +114,10 @@ def limiting_depth(
     max_depth_mm: float | None = None,
     steps: int | None = None,
 ) -> tuple[float, float]:
-    """Return limiting depth [mm] and chatter frequency [Hz] at one speed; inf and NaN up to the greatest depth."""
+    """Return the limiting depth [mm] at one speed [1/min] and the frequency of its chatter [Hz].
+
+    Result: inf and NaN where the cut is stable up to the greatest depth. Else as `semi_discretised_lobes`.
+    """
     methods = _Methods(response, cut, feed_deg, steps)
     typical_mm = typical_depth_mm(response, cut)
     deepest_mm = max_depth_mm or DEEPEST * typical_mm

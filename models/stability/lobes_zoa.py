@@ -40,12 +40,22 @@ class _Branch:
 
 
 def zeroth_order_lobes(
-    response: ToolPointResponse, cut: Cut, *, from_rpm: float, to_rpm: float, points: int, feed_deg: float = 0.0
+    response: ToolPointResponse,
+    cut: Cut,
+    *,
+    from_rpm: float,
+    to_rpm: float,
+    points: int,
+    feed_deg: float = 0.0,
 ) -> StabilityLobes:
-    """Return the lobes between two spindle speeds: the lower envelope and its exact minimum.
+    """Return the lobes between two spindle speeds.
 
-    Raises StabilityError when the range is none, the FRF does not cover the tooth-passing band or holds a value that is
-    not finite, or nothing can chatter.
+    Result: the lower envelope and its exact minimum. Raises StabilityError when the range is none, the FRF does not
+    cover the tooth-passing band or holds a value that is not finite, or nothing can chatter.
+
+    `response`: receptance at the tool point in machine axes. `cut`: engagement and cutting coefficients. `from_rpm`,
+    `to_rpm`: range of speeds [1/min]. `points`: number of evenly spaced speeds. `feed_deg`: direction of the feed
+    against X [deg].
     """
     return _lobes(response, cut, (from_rpm, to_rpm, points), (feed_deg,))
 
@@ -53,7 +63,11 @@ def zeroth_order_lobes(
 def lowest_over_feed_directions(
     response: ToolPointResponse, cut: Cut, *, from_rpm: float, to_rpm: float, points: int
 ) -> StabilityLobes:
-    """Return, at each speed, the lowest lobes over feed directions `FEED_STEP_DEG` apart; opposite ones are equal."""
+    """Return, at each speed, the lowest lobes over feed directions `FEED_STEP_DEG` apart.
+
+    `feed_deg` of the result is the direction with the lowest minimum. Opposite directions are
+    equal. Parameters and errors are those of `zeroth_order_lobes`.
+    """
     feeds = tuple(np.arange(0.0, 180.0, FEED_STEP_DEG).tolist())
     return _lobes(response, cut, (from_rpm, to_rpm, points), feeds)
 

@@ -129,7 +129,14 @@ class Cut:
 
 
 def engagement_rad(mode: MillingMode, radial_depth_mm: float, diameter_mm: float) -> tuple[float, float]:
-    """Return entry and exit of a tooth [rad], clockwise from the normal of the feed; raises StabilityError."""
+    """Return the angles at which a tooth enters and leaves the work.
+
+    Result: entry and exit [rad], clockwise from the normal of the feed. Raises StabilityError when the immersion is out
+    of range.
+
+    `mode`: up-milling, down-milling or slot. `radial_depth_mm`: radial depth of cut a_e [mm]; the diameter for a slot.
+    `diameter_mm`: diameter of the tool [mm].
+    """
     if not diameter_mm > 0.0:
         raise StabilityError(f"the diameter {diameter_mm:g} mm is none; give the tool's diameter in mm")
     if not LEAST_IMMERSION * diameter_mm <= radial_depth_mm <= diameter_mm:
@@ -149,7 +156,10 @@ def engagement_rad(mode: MillingMode, radial_depth_mm: float, diameter_mm: float
 
 
 def mean_directional_matrix(cut: Cut) -> FloatArray:
-    """Return [a] of 5-5, averaged over a turn: force = 1/2 depth K_tc [a] (x(t) - x(t - T_a))."""
+    """Return the directional coefficients a_xx .. a_yy averaged over a turn (5-5).
+
+    Result: shape (2, 2), dimensionless: force = 1/2 depth K_tc [a] (x(t) - x(t - T_a)).
+    """
     ends = np.array([cut.start_rad, cut.exit_rad])
     sine, cosine, ratio = np.sin(2.0 * ends), np.cos(2.0 * ends), cut.radial_ratio
     terms = np.array(
@@ -163,9 +173,12 @@ def mean_directional_matrix(cut: Cut) -> FloatArray:
 
 
 def directional_matrix(cut: Cut, angle_rad: FloatArray) -> FloatArray:
-    """Return [A] at angles of the first tooth, shape (n, 2, 2): force = depth K_tc [A] (x(t) - x(t - T_a)).
+    """Return the directional coefficients at given angles of the first tooth, all teeth added.
 
-    All teeth at equal pitch are added. Its mean over a turn is half of `mean_directional_matrix`.
+    Result: shape (n, 2, 2), dimensionless: force = depth K_tc [A] (x(t) - x(t - T_a)). Its mean over a turn is half of
+    `mean_directional_matrix`.
+
+    `cut`: the cut. `angle_rad`: angle of the first tooth [rad], shape (n,); the others follow at equal pitch.
     """
     pitch = 2.0 * math.pi / cut.teeth
     angles = np.mod(angle_rad[:, None] + pitch * np.arange(cut.teeth), 2.0 * math.pi)

@@ -85,7 +85,12 @@ def modal_receptance(modes: Sequence[Mode], frequency_hz: FloatArray) -> Complex
 
 
 def check_finite(frequency_hz: FloatArray, receptance: ComplexArray) -> None:
-    """Refuse an FRF with a value that is not finite, which lobes would take for stable; raises StabilityError."""
+    """Refuse an FRF with a value that is not finite, which lobes would take for stable to any depth.
+
+    Raises StabilityError, which names the first such frequency.
+
+    `frequency_hz`: shape (n,) [Hz]. `receptance`: first axis of length n [m/N].
+    """
     finite = np.isfinite(receptance).reshape(len(frequency_hz), -1).all(axis=1) & np.isfinite(frequency_hz)
     if not finite.all():
         raise StabilityError(

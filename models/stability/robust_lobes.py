@@ -50,8 +50,11 @@ def depth_band(
 ) -> tuple[FloatArray, FloatArray]:
     """Return between which limiting depths [mm] the middle 95 of 100 draws lie, each of the shape that `limits` gives.
 
-    `limits` gives them for a structure and a cut at always the same speeds; inf: none. The draws are the same every
-    time, so that two charts can be compared.
+    Result: low and high; inf where a draw has no limit. Raises what `limits` raises.
+
+    `limits`: gives the limiting depths [mm] of a structure and a cut at always the same speeds; inf: none. `response`,
+    `cut`: what is expected. `uncertainty`: how far it may be off. `draws`: how many structures and cuts are tried; the
+    same every time, so that two charts can be compared.
     """
     random = np.random.default_rng(SEED)
     found = np.array([limits(*_drawn(response, cut, uncertainty, random)) for _ in range(draws)])

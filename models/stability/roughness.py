@@ -26,10 +26,13 @@ class Roughness:
 
 
 def profile_roughness(position_mm: FloatArray, height_um: FloatArray, cutoff_mm: float | None = None) -> Roughness:
-    """Return the roughness of an evenly spaced profile; raises StabilityError.
+    """Return the roughness of a profile.
 
-    `cutoff_mm`: of the Gaussian filter that takes waviness away, half of which is left out at both ends; None: only the
-    mean line is removed.
+    Result: of the whole profile; with a cut-off half of it is left out at both ends. Raises StabilityError with too few
+    points, uneven spacing, or a cut-off longer than half the profile.
+
+    `position_mm`: evenly spaced along the profile [mm], shape (n,). `height_um`: shape (n,) [um]. `cutoff_mm`: cut-off
+    of the Gaussian filter that takes waviness away [mm]; None: only the mean line is removed.
     """
     if len(position_mm) != len(height_um) or len(height_um) < FEWEST_POINTS:
         raise StabilityError(f"a profile of {len(height_um)} points is too short; give at least {FEWEST_POINTS}")
@@ -67,7 +70,11 @@ def _without_waviness(heights: FloatArray, spacing_mm: float, cutoff_mm: float) 
 def roughness_per_depth(
     depth_mm: FloatArray, position_mm: FloatArray, height_um: FloatArray, cutoff_mm: float | None = None
 ) -> dict[float, Roughness]:
-    """Return the roughness of each depth of cut [mm], in ascending depth; raises as `profile_roughness`."""
+    """Return the roughness of each depth of cut [mm], in ascending depth.
+
+    Every array has the shape (n,); rows with the same depth form one profile. Raises StabilityError as
+    `profile_roughness`, naming the depth.
+    """
     found = {}
     for depth in np.unique(depth_mm).tolist():
         rows = depth_mm == depth

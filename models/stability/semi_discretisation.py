@@ -127,7 +127,13 @@ def _peak_m_per_n(mode: Mode) -> float:
 
 
 def semi_discretisation(structure: StateSpace, cut: Cut, steps: int = DEFAULT_STEPS) -> SemiDiscretisation:
-    """Prepare `steps` of one tooth passing for any speed and depth, in feed axes; raises StabilityError."""
+    """Prepare the steps of one tooth passing.
+
+    Result: to be used at any speed and depth. Raises StabilityError with too few steps.
+
+    `structure`: state space in feed axes. `cut`: engagement and cutting coefficients. `steps`: steps per tooth passing,
+    m.
+    """
     if steps < FEWEST_STEPS:
         raise StabilityError(f"{steps} steps per tooth passing are too few; take at least {FEWEST_STEPS}")
     return SemiDiscretisation(structure=structure, cut=cut, steps=steps, teeth=_grouped(cut, steps))
@@ -154,10 +160,13 @@ def _grouped(cut: Cut, steps: int) -> tuple[_Teeth, ...]:
 
 
 def transition_matrices(method: SemiDiscretisation, speed_rpm: float, depth_mm: FloatArray) -> FloatArray:
-    """Return the maps over one period at one speed, for depths of cut [mm], shape (n,).
+    """Return the maps over one period at one speed.
 
-    Shape (n, size, size), size = n_states + memory n_directions, acting on the states and the displacements one, two,
-    ... steps ago. Raises StabilityError when speed or a depth is not above 0.
+    Result: shape (n, size, size), size = n_states + memory n_directions, acting on the states and the
+    displacements one, two, ... steps ago. Raises StabilityError when speed or a depth is not above 0.
+
+    `method`: from `semi_discretisation`. `speed_rpm`: spindle speed [1/min]. `depth_mm`: axial depths of cut [mm],
+    shape (n,).
     """
     state, track = _motion(method, speed_rpm, depth_mm)
     moving, states = method.structure.outputs.shape
@@ -282,7 +291,10 @@ def _directional(
 
 
 def _integrals(shapes: FloatArray, pushed: FloatArray, directional: FloatArray) -> FloatArray:
-    """Return integrals over steps of shapes (n, 4, q), pushes (n, q, s, f), matrices (n, m, q, f, d)."""
+    """Return the integrals over each step of shapes (n, 4, q) times pushes (n, q, s, f) times matrices (n, m, q, f, d).
+
+    Result: shape (m, n, s, 4 d).
+    """
     count, steps, places, into, moving = directional.shape
     states = pushed.shape[2]
     left = (shapes[..., None, None] * pushed[:, None]).transpose(0, 1, 3, 2, 4).reshape(count, 4 * states, -1)

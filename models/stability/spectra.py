@@ -8,6 +8,7 @@ import numpy as np
 
 from models.errors import StabilityError
 from models.records import FloatArray
+from models.stability.signal_checks import check_length
 
 WINDOW_S = 0.64
 """4096 samples at 6400 Hz, as in the dissertation."""
@@ -17,48 +18,6 @@ STILL_RATIO = 2.0
 """A line stands still whose power at several depths differs by no more than this."""
 REACH_LINES, REACH_SHARE = 2.0, 0.0015
 """A line of the machine may lie this many lines of the spectrum, or this share of its frequency, beside itself."""
-
-
-FAINTEST_M_S2, LOUDEST_M_S2 = 1e-9, 1e9
-"""Range of the largest acceleration of a recording; outside, its unit or its scale is wrong [m/s^2]."""
-
-
-def check_length(samples: int, sample_rate_hz: float, window: int) -> None:
-    """Refuse a signal that is shorter than a window; raises StabilityError saying how long to record."""
-    if samples < window:
-        raise StabilityError(
-            f"{samples} samples at {sample_rate_hz:g} Hz are {samples / sample_rate_hz:.3g} s; a spectrum needs "
-            f"{window} ({window / sample_rate_hz:.2g} s): record longer, or analyse a longer part"
-        )
-
-
-def check_clipping(acceleration_m_s2: FloatArray) -> None:
-    """Refuse a signal that does not move, is no acceleration, or stays at an extreme as only a limit makes it."""
-    lowest, highest = float(acceleration_m_s2.min()), float(acceleration_m_s2.max())
-    if lowest == highest:
-        raise StabilityError(
-            f"the recording stands at {lowest:g} m/s^2 from beginning to end; check the sensor and its cable"
-        )
-    largest = max(-lowest, highest)
-    if not FAINTEST_M_S2 <= largest <= LOUDEST_M_S2:
-        raise StabilityError(
-            f"the largest acceleration of the recording is {largest:g} m/s^2, which no accelerometer reads; check unit "
-            "and scale"
-        )
-    for extreme, name in ((highest, "upper"), (lowest, "lower")):
-        at_limit = acceleration_m_s2 == extreme
-        count = int(at_limit.sum())
-        values = acceleration_m_s2[~at_limit]
-        if count < 5 or not len(values):
-            continue
-        next_value = float(values.max() if name == "upper" else values.min())
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], at_limit.astype(np.int8), [0]))))
-        longest = int((edges[1::2] - edges[::2]).max())
-        if longest >= 4 or count > 4 * int(np.sum(acceleration_m_s2 == next_value)):
-            raise StabilityError(
-                f"the recording is clipped: {count} samples stand at its {name} end of {extreme:g} m/s^2; "
-                "set a wider range of the amplifier and record again"
-            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,7 +38,12 @@ def window_samples(sample_rate_hz: float) -> int:
 
 
 def short_time_spectra(acceleration_m_s2: FloatArray, sample_rate_hz: float) -> list[SpectrumFrame]:
-    """Return spectra of overlapping windows (Hann), in the order of time; raises StabilityError without a window."""
+    """Return spectra of overlapping windows (Hann).
+
+    Result: in the order of time. Raises StabilityError when the signal is shorter than a window.
+
+    `acceleration_m_s2`: shape (n,) [m/s^2]. `sample_rate_hz`: samples per second [Hz].
+    """
     length = window_samples(sample_rate_hz)
     check_length(len(acceleration_m_s2), sample_rate_hz, length)
     hop = max(int(length * (1.0 - OVERLAP)), 1)
@@ -101,10 +65,13 @@ def spectrum(samples: FloatArray, start: int, sample_rate_hz: float) -> Spectrum
 
 
 def machine_spectrum(acceleration_m_s2: FloatArray, sample_rate_hz: float) -> FloatArray:
-    """Return what the machine has without the cut in question: the highest density near each frequency of a window.
+    """Return what the machine has without the cut in question: the highest density near each frequency.
 
-    One-sided [(m/s^2)^2/Hz], of a recording with the same sensor while the spindle turns without cutting, or cuts
-    surely without chatter. Raises StabilityError when it is shorter than a window.
+    Result: one-sided [(m/s^2)^2/Hz], on the frequencies of a window, of shape (n,). Raises StabilityError when the
+    recording is shorter than a window.
+
+    `acceleration_m_s2`: shape (n,) [m/s^2], recorded with the same sensor while the spindle turns without cutting, or
+    cuts surely without chatter. `sample_rate_hz`: samples per second [Hz], those of the cut.
     """
     return _near(acceleration_m_s2, sample_rate_hz)
 
@@ -112,8 +79,11 @@ def machine_spectrum(acceleration_m_s2: FloatArray, sample_rate_hz: float) -> Fl
 def standing_spectrum(parts: Sequence[FloatArray], sample_rate_hz: float) -> FloatArray:
     """Return what stands still between cuts at several depths: gear mesh and mains do, chatter and forced lines grow.
 
-    As of `machine_spectrum`, 0 where the cuts differ. `parts`: acceleration of each cut, at depths that differ by a
-    quarter at least. Raises StabilityError with fewer than two, or when one is shorter than a window.
+    Result: one-sided density [(m/s^2)^2/Hz] as of `machine_spectrum`, 0 where the cuts differ, shape (n,). Raises
+    StabilityError with fewer than two parts, or when one is shorter than a window.
+
+    `parts`: acceleration of each cut [m/s^2], at depths that differ by a quarter at least. `sample_rate_hz`: samples
+    per second [Hz].
     """
     if len(parts) < 2:
         raise StabilityError("one depth says nothing of what stands still; give passages at two depths or more")

@@ -43,13 +43,22 @@ def _transition(mode: Mode, times: FloatArray) -> FloatArray:
     cosine = np.cos(phase).real
     sine = (times * np.sinc(phase / np.pi)).real
     fading = np.exp(-decay * times)
-    rows = [[cosine + decay * sine, sine], [-(angular**2) * sine, cosine - decay * sine]]
+    rows = [
+        [cosine + decay * sine, sine],
+        [-(angular**2) * sine, cosine - decay * sine],
+    ]
     matrix: FloatArray = fading[..., None, None] * np.moveaxis(np.array(rows), (0, 1), (-2, -1))
     return matrix
 
 
 def state_space(response: ModalResponse, feed_deg: float = 0.0) -> StateSpace:
-    """Return a modal response as state space in feed axes, two states per mode; raises StabilityError."""
+    """Return a modal response as state space in feed axes.
+
+    Result: two states per mode. Raises StabilityError when nothing can move.
+
+    `response`: modes per entry of the receptance matrix, in machine axes. `feed_deg`: direction of the feed against X
+    [deg].
+    """
     modes: list[Mode] = []
     inputs: list[FloatArray] = []
     outputs: list[FloatArray] = []
@@ -68,5 +77,8 @@ def state_space(response: ModalResponse, feed_deg: float = 0.0) -> StateSpace:
     size = np.abs(turned).max(axis=1)
     directions = tuple(int(i) for i in np.flatnonzero(size > STILL * size.max()))
     return StateSpace(
-        modes=tuple(modes), inputs=np.vstack(inputs) @ turn.T, outputs=turned[list(directions)], directions=directions
+        modes=tuple(modes),
+        inputs=np.vstack(inputs) @ turn.T,
+        outputs=turned[list(directions)],
+        directions=directions,
     )

@@ -22,7 +22,13 @@ def model_to_json(model: ThermomechanicalModel) -> str:
 
 
 def model_from_json(text: str, source: str) -> ThermomechanicalModel:
-    """Return the model that a file's text holds; raises ModelError naming `source` and key."""
+    """Return the model that a file holds.
+
+    Raises ModelError naming source and key: not JSON, another format or version, missing or unknown keys, wrong types
+    or shapes, numbers that are not finite, or a checksum that differs.
+
+    `text`: content of the file. `source`: its name, for messages.
+    """
     try:
         content = parse(text)
         if content.get("format") != FORMAT:

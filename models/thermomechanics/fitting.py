@@ -68,12 +68,18 @@ def minute_grid(time_min: FloatArray) -> FloatArray:
 
 
 def minute_series(
-    response_min: FloatArray, values: FloatArray, recorded_min: FloatArray, recorded_degc: FloatArray
+    response_min: FloatArray,
+    values: FloatArray,
+    recorded_min: FloatArray,
+    recorded_degc: FloatArray,
 ) -> MinuteSeries:
     """Interpolate properties to whole minutes and take the temperatures' means beside them.
 
-    `values`: identified properties, shape (k, p), at ascending `response_min`. Raises IdentificationError when no
-    minute is left.
+    Raises IdentificationError when no minute is left.
+
+    `response_min`: times of the responses [min], ascending, shape (k,). `values`: identified properties, shape (k, p).
+    `recorded_min`: times of the recording [min], shape (n,). `recorded_degc`: temperatures of the signals [degC], NaN
+    where unknown, shape (n, m).
     """
     grid = minute_grid(response_min)
     at = np.stack([np.interp(grid, response_min, column) for column in values.T], axis=1)
@@ -117,11 +123,30 @@ def fit_axis(
     *,
     least_squares: bool = False,
 ) -> tuple[AxisRegression, dict[str, FittedProperty]]:
-    """Fit the regressions of one axis; raises IdentificationError when there are fewer minutes than it needs.
+    """Fit the regressions of one axis.
 
-    The interval of each property is the one with the largest adjusted coefficient of determination; the penalty the one
-    with the smallest error on stretches of time that were left out, or none with `least_squares`, as the dissertation.
-    `signals` name the columns of `degc`, `names` those of `values`; `fixed` were not varied.
+    The interval of each property is the one with the largest adjusted coefficient of determination; the penalty the
+    one with the smallest error on stretches of time that were left out.
+
+    Raises IdentificationError when there are fewer minutes than the regression needs.
+
+    Parameters
+    ----------
+    axis
+        x or y.
+    signals
+        Labels of the columns of `degc`.
+    names
+        Properties, the columns of `values`.
+    runs
+        What was measured.
+    bounds
+        Physical ranges by name.
+    fixed
+        The parameters that were not varied.
+    least_squares
+        No penalty, as the dissertation.
+
     """
     degc = np.concatenate([run.degc for run in runs])
     needed = 3 * (1 + 3 * len(signals))

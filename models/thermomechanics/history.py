@@ -30,7 +30,10 @@ class TemperatureHistory:
             self._rows.popleft()
 
     def mean_degc(self, ago_min: float = 0.0) -> FloatArray | None:
-        """Return the means over the minute that ended some minutes ago [degC], NaN where none; None if not kept."""
+        """Return the means over the minute that ended some minutes ago [degC], NaN where a signal had no value.
+
+        None where no temperatures of that minute are kept.
+        """
         if not self._rows:
             return None
         end_s = self._rows[-1][0] - 60.0 * ago_min
@@ -66,7 +69,12 @@ class SignalMeans:
         return [int(np.isnan(counted).sum()) for counted in self._counted]
 
     def renew(self, degc: FloatArray) -> FloatArray:
-        """Return the mean of each label at a reading of all sensors [degC]; NaN where a label has no value."""
+        """Return the mean of each label at a reading of all sensors [degC], shape (labels,).
+
+        Result: shape (labels,) [degC]; NaN where no sensor of a label has a value.
+
+        `degc`: one value for each sensor of the machine [degC], NaN where there is none.
+        """
         means = np.full(len(self._places), np.nan)
         for label, places in enumerate(self._places):
             now, before = degc[places], self._counted[label]

@@ -49,7 +49,10 @@ class EstimatedProperty:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PropertyRegression:
-    """Regression of one bearing property on temperatures; raises ModelError where its parts do not fit together."""
+    """Regression of one bearing property on temperatures.
+
+    Raises ModelError when name, shapes or numbers do not fit together.
+    """
 
     name: str
     """One of the parameters of a group of bearings, such as kt_34."""
@@ -99,7 +102,10 @@ SMALLEST_WIDTH_K = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AxisRegression:
-    """All regressions of one machine axis; raises ModelError where shapes and names do not fit together."""
+    """All regressions of one machine axis.
+
+    Raises ModelError when shapes and names do not fit together.
+    """
 
     axis: str
     signals: tuple[str, ...]
@@ -136,7 +142,13 @@ class AxisRegression:
         return tuple(sorted({each.interval_min for each in self.properties if each.interval_min}))
 
     def estimate(self, degc: FloatArray, differences_k: Mapping[float, FloatArray]) -> tuple[EstimatedProperty, ...]:
-        """Return the properties at temperatures [degC] and their changes [K] by interval [min]; raises ValueError."""
+        """Return the regressed properties.
+
+        Raises ValueError when a temperature or a change is not finite, or the shapes differ.
+
+        `degc`: temperatures of the signals now [degC], shape (m,). `differences_k`: interval [min] -> change of the
+        signals over it [K], shape (m,); every one of `intervals_min`.
+        """
         given = {0.0: np.zeros(0), **differences_k}
         for what, values in (("temperature", degc), *((f"change over {k:g} min", differences_k[k])
                              for k in self.intervals_min)):  # fmt: skip
@@ -167,7 +179,13 @@ def _estimated(regression: PropertyRegression, variables: FloatArray, inside: fl
 
 
 def explanatory_variables(degc: FloatArray, difference_k: FloatArray) -> FloatArray:
-    """Return 1, T, dT and dT^2 of section 5.3.2, shape (..., 1 + 3 m), or 1 and T alone without differences."""
+    """Return 1, T, dT and dT^2 of section 5.3.2.
+
+    Result: shape (..., 1 + 3 m), or (..., 1 + m).
+
+    `degc`: temperatures [degC], shape (..., m). `difference_k`: their changes over the interval [K], shape (..., m); of
+    shape (..., 0): 1 and T alone.
+    """
     one = np.ones((*degc.shape[:-1], 1))
     return np.concatenate([one, degc, difference_k, difference_k**2], axis=-1)
 

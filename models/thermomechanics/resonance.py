@@ -1,7 +1,9 @@
 """Follows one resonance of the tool point by mode continuity while the bearings change (Figs 5-18, 5-19).
 
-Not the highest peak: as the spindle warms, another mode becomes the highest. The way between two states of the bearings
-is divided until no other peak can be taken for the one that is followed. A peak that vanishes is lost, and said to be.
+The highest peak is not followed: as the spindle warms, another mode becomes the highest, and the frequency would jump.
+Between two states of the bearings the way is divided into steps that change no parameter by much, and further until
+no other peak can be taken for the one that is followed. Two peaks that melt into one are one peak; a peak that vanishes
+is lost, and said to be.
 """
 
 from collections.abc import Callable, Mapping
@@ -62,6 +64,8 @@ def peaks(frequency_hz: FloatArray, receptance: ComplexArray) -> list[Peak]:
     """Return the resonances by ascending frequency, between the lines by a parabola through 1/|H|^2.
 
     Of a single mode 1/|H|^2 is a parabola in the square of the frequency, so the peak does not lean towards a line.
+
+    `frequency_hz`: evenly spaced [Hz], shape (n,). `receptance`: [m/N], shape (n,).
     """
     return peaks_of_several(frequency_hz, receptance[None])[0]
 
@@ -134,7 +138,11 @@ class ResonanceFollower:
         return self._resonance
 
     def follow(self, parameters: Mapping[str, float], response: ComplexArray | None = None) -> Resonance:
-        """Return the resonance with new bearing parameters, and go on from there; `response`: where known."""
+        """Return the resonance with new bearing parameters, and go on from there.
+
+        `parameters`: the twelve parameters by name, SI units. `response`: the receptance with them [m/N], shape (n,),
+        where it is known already.
+        """
         begin, known = (self._at, self._resonance) if self._resonance.continuous else (self._start, self._first)
         found = self.reached(begin, known, parameters, response)
         if found.continuous:
@@ -151,7 +159,10 @@ class ResonanceFollower:
         *,
         roughly: bool = False,
     ) -> Resonance:
-        """Return a known resonance as it is with other parameters, nothing kept; `roughly`: at fewer frequencies."""
+        """Return a resonance that is known with some parameters as it is with others; nothing is kept.
+
+        `roughly`: the end is looked at like the way, at what may be fewer frequencies.
+        """
         names = tuple(parameters)
         steps = min(MOST_STEPS, max(1, int(np.ceil(_distance(begin, parameters) / LARGEST_CHANGE))))
         way = _way(begin, parameters, np.arange(1, steps + 1) / steps)
@@ -185,7 +196,12 @@ class ResonanceFollower:
         return self.frequency_hz[lines], np.array(found)
 
     def _walk(
-        self, begin: Mapping[str, float], known: Resonance, end: Mapping[str, float], found: list[Peak], division: int
+        self,
+        begin: Mapping[str, float],
+        known: Resonance,
+        end: Mapping[str, float],
+        found: list[Peak],
+        division: int,
     ) -> Resonance:
         if not known.continuous:
             return known

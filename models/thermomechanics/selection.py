@@ -23,12 +23,18 @@ class SignalSelection:
     crosscorrelation: FloatArray
     """Coefficients between signals and properties, shape (m, p) (Fig. 5-11)."""
     groups: tuple[tuple[str, ...], ...]
+    """Signals that are alike."""
     chosen: tuple[str, ...]
     """Of each group the signal that correlates best with the properties."""
 
 
 def correlation(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return coefficients of correlation between columns (n, p) and (n, q); 0 for one that does not move."""
+    """Return coefficients of correlation between columns.
+
+    Result: shape (p, q); 0 for a column that does not move.
+
+    `first` and `second`: shapes (n, p) and (n, q), without NaN.
+    """
 
     def standardised(table: FloatArray) -> FloatArray:
         """Return the columns without their means, scaled to unit length."""
@@ -49,8 +55,11 @@ def select_signals(
     """Choose one signal of every group of like ones.
 
     Signals are taken in the order of their mean absolute correlation with the properties; one that is like a signal
-    taken before joins its group. `crosscorrelation`: coefficients, shape (m, p), where they are known already, instead
-    of `values`.
+    taken before joins its group.
+
+    `candidates`: names of the signals. `degc`: their temperatures [degC], shape (n, m). `properties`: names of the
+    properties. `values`: shape (n, p), SI units; None with `crosscorrelation`. `crosscorrelation`: coefficients between
+    signals and properties, shape (m, p), where they are known already.
     """
     auto = correlation(degc, degc)
     if crosscorrelation is not None:

@@ -1,7 +1,8 @@
 """Bearing properties of a whole series of responses at the nose, with few and with many varied (section 5.2.3).
 
-Every response begins where the one before ended, which keeps the series on one branch; a larger set of parameters at
-what the smaller one found.
+The first response is identified from scratch. Every later one begins where the one before ended, which is faster and
+keeps the series on one branch where several sets of properties fit about as well. A larger set of parameters begins at
+what the smaller one found for the same response.
 """
 
 from collections.abc import Mapping, Sequence
@@ -48,10 +49,14 @@ def identify_series(
     kept: Mapping[str, float],
     smaller: PropertySeries | None = None,
 ) -> PropertySeries:
-    """Identify all responses of one axis, in the order of their times; raises IdentificationError.
+    """Identify all responses of one axis.
 
-    `kept`: parameters that are not varied. `smaller`: the same responses with fewer parameters, where each of them
-    begins.
+    Raises IdentificationError when a response cannot be fitted at all.
+
+    `shaft`: the shaft, condensed at the frequencies of the responses. `responses`: receptances at the nose [m/N], each
+    of shape (n,), in the order of their times. `time_min`: times [min], shape (len(responses),), ascending. `kept`: the
+    parameters that are not varied, with their values. `smaller`: the same responses identified with fewer parameters,
+    where each of them begins.
     """
     names = tuple(name for name in parameters_of(shaft.groups) if name not in kept)
     found: list[Identified] = []

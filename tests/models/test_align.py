@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from models.align import RollingMean
-from models.recordings.dataset import block_means
+from models.recordings.blocks import block_means
 
 
 def test_the_mean_covers_the_last_minute_and_leaves_missing_values_out() -> None:

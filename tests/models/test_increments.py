@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from sklearn.linear_model import LinearRegression, Ridge
 
-from models.recordings.dataset import DatasetError, Recording, contiguous_runs
+from models.recordings.blocks import contiguous_runs
+from models.recordings.dataset import DatasetError, Recording
 from models.thermal.training.increments import Factor, Increments, LinearFit, combine, factorise, fit_each
 from models.thermal.training.increments import increments as increments_of
 

@@ -16,7 +16,8 @@ from models.errors import StabilityError
 from models.json_values import finite_or_none
 from models.records import FloatArray
 from models.stability.chatter import ChatterVerdict, detect_chatter, speed_warning
-from models.stability.spectra import check_clipping, check_length, machine_spectrum, standing_spectrum, window_samples
+from models.stability.signal_checks import check_clipping, check_length
+from models.stability.spectra import machine_spectrum, standing_spectrum, window_samples
 
 GROWTH = 1.25
 """Depths that differ by this factor tell what the cut makes from what the machine makes."""

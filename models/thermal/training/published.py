@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.recordings.dataset import DatasetError, Recording, contiguous_runs
+from models.recordings.blocks import contiguous_runs
+from models.recordings.dataset import DatasetError, Recording
 from models.recordings.jumps import remove_jumps_at_switching
 from models.records import FloatArray
 from models.thermal.training.increments import Factor, factorise, increments
