@@ -250,6 +250,7 @@ class Daemon:
     async def _run(self) -> None:
         self._report("daemon", "started")
         self._report("model", self._loaded.in_words())
+        scheduler = self._parts.housekeeping(self._history, self._configuration.history)
         try:
             async with asyncio.TaskGroup() as tasks:
                 loop = asyncio.get_running_loop()
@@ -260,6 +261,9 @@ class Daemon:
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGHUP})
                 controlling = tasks.create_task(self.control.run())
                 running = [tasks.create_task(work) for work in self._work()]
+                scheduler.start()
+                for job in self._jobs:
+                    job.start()
                 self._service_manager.ready("running")
                 log.info("daemon.ready", machine=self._configuration.machine)
                 _collect_what_comes_now()
@@ -270,6 +274,10 @@ class Daemon:
                 for task in (controlling, *running):
                     task.cancel()
         finally:
+            if scheduler.running:
+                scheduler.shutdown(wait=False)
+            for job in self._jobs:
+                job.stop()
             self._displacements.flush()
             self._report("daemon", "stopped")
             self.spindle_speed.close()
@@ -277,8 +285,6 @@ class Daemon:
     def _work(self) -> Iterator[Coroutine[Any, Any, None]]:
         """Yield the work of every task but the control task."""
         links, service = self._links, self._configuration.service
-        yield self._parts.housekeeping(self._history, self._configuration.history)
-        yield from (job.run() for job in self._jobs)
         yield self.thermal.run()
         yield self._models.run()
         yield from links.temperatures(self._inbox.put_cycle)

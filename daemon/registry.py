@@ -9,7 +9,7 @@ from config.schema import Configuration
 from config.schema.cnc_drivers import CncDriverConfig
 from config.schema.temperatures import TemperatureInput
 from daemon.cnc.cnc_lock import CncLock
-from daemon.housekeeping.jobs import Housekeeping, keep_house
+from daemon.housekeeping.jobs import Housekeeping, housekeeping_scheduler
 from daemon.model_release.loading import LoadedModel
 from daemon.model_release.side_load import load_beside
 from drivers.clock import Clock
@@ -34,7 +34,7 @@ class Parts:
     open_cnc: Callable[[Configuration, Clock], Cnc] = open_cnc
     hold_cnc: Callable[[CncDriverConfig], AbstractContextManager[object]] = CncLock
     """Keeps a second writer on this computer away from the CNC."""
-    housekeeping: Housekeeping = keep_house
+    housekeeping: Housekeeping = housekeeping_scheduler
     load_model: Callable[[Configuration], Awaitable[LoadedModel[ThermalModel]]] = load_beside
     """Loads the released model anew, off the loop."""
     speed_planner: Sequence[str] = SPEED_PLANNER

@@ -7,12 +7,14 @@ import sys
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import structlog
+from apscheduler.schedulers.asyncio import AsyncIOScheduler
 
 from config.schema import Configuration
 from config.schema.compensation import RetrainingConfig
@@ -25,7 +27,7 @@ from daemon.telemetry.metrics import give_memory_back
 
 log = structlog.get_logger(__name__)
 LOOK_PERIOD_S = 600
-"""Whether it is time is looked at this often [s]: what decides outlives restarts of the daemon."""
+"""Whether it is time is looked at this often [s of the wall clock]: what decides outlives restarts of the daemon."""
 LOOK_WITHIN_S = 30.0
 """A look at the folder is waited for so long: a network share may not answer for hours [s of the wall clock]."""
 RUN_WITHIN_S = 6 * 3600.0
@@ -49,7 +51,11 @@ class ScheduledProcess(ABC):
         self._process: asyncio.subprocess.Process | None = None
         self.attempted_utc_s = float("-inf")
         """When the command was last started; -inf: not since the daemon began."""
-        self._first_look_s = first_look_s
+        self._scheduler = AsyncIOScheduler(
+            timezone="UTC", job_defaults={"coalesce": True, "max_instances": 1, "misfire_grace_time": None}
+        )
+        first = datetime.now(UTC) + timedelta(seconds=first_look_s)
+        self._scheduler.add_job(self.run_if_due, "interval", seconds=LOOK_PERIOD_S, next_run_time=first)
 
     @abstractmethod
     def due(self, now_utc_s: float) -> bool:
@@ -63,12 +69,14 @@ class ScheduledProcess(ABC):
     def in_words(self, made: Mapping[str, Any]) -> str:
         """Return what was made, for the audit."""
 
-    async def run(self) -> None:
-        """Look now and then until cancelled."""
-        await asyncio.sleep(self._first_look_s)
-        while True:
-            await self.run_if_due()
-            await asyncio.sleep(LOOK_PERIOD_S)
+    def start(self) -> None:
+        """Look now and then from now on."""
+        self._scheduler.start()
+
+    def stop(self) -> None:
+        """Look no more."""
+        if self._scheduler.running:
+            self._scheduler.shutdown(wait=False)
 
     async def run_if_due(self) -> None:
         """Run the command when it is due; whatever goes wrong is said, and tried again at the next look."""
@@ -153,26 +161,43 @@ def _in_words(error: Exception) -> str:
 
 
 HOUSEKEEPING_PERIOD_S = 600
-"""Time between housekeeping runs [s]."""
+"""Time between housekeeping runs [s of the wall clock]."""
 HOUSEKEEPING_WITHIN_S = 3600.0
 """A run that takes longer is ended, and what is left is done by the next [s of the wall clock]."""
 
 
-Housekeeping = Callable[[HistoryWriter, HistoryConfig], Coroutine[Any, Any, None]]
-"""Packs and prunes a store now and then, until cancelled."""
+class Scheduler(Protocol):
+    """Starts the housekeeping now and then."""
+
+    @property
+    def running(self) -> bool: ...
+
+    def start(self) -> None: ...
+
+    def shutdown(self, *, wait: bool) -> None: ...
 
 
-async def keep_house(history: HistoryWriter, config: HistoryConfig) -> None:
-    """Pack and prune the store now and then."""
-    while True:
-        await asyncio.sleep(HOUSEKEEPING_PERIOD_S)
-        try:
-            async with asyncio.timeout(HOUSEKEEPING_WITHIN_S):
-                await history.request_housekeeping(config)
-            await asyncio.to_thread(give_memory_back)  # what was free between what is kept, else 1 MiB after a day
-        except TimeoutError:
-            why = f"it was ended because it took longer than {HOUSEKEEPING_WITHIN_S / 60.0:g} min"
-            history.housekeeping.put_off(why)
+Housekeeping = Callable[[HistoryWriter, HistoryConfig], Scheduler]
+"""Returns a scheduler, not started, for a store."""
+
+
+def housekeeping_scheduler(history: HistoryWriter, config: HistoryConfig) -> Scheduler:
+    """Return a scheduler, not started, that packs and prunes the store now and then."""
+    scheduler = AsyncIOScheduler(
+        timezone="UTC", job_defaults={"coalesce": True, "max_instances": 1, "misfire_grace_time": None}
+    )
+    scheduler.add_job(_tidy, "interval", seconds=HOUSEKEEPING_PERIOD_S, args=[history, config])
+    made: Scheduler = scheduler
+    return made
+
+
+async def _tidy(history: HistoryWriter, config: HistoryConfig) -> None:
+    try:
+        async with asyncio.timeout(HOUSEKEEPING_WITHIN_S):
+            await history.request_housekeeping(config)
+        await asyncio.to_thread(give_memory_back)  # what was free between what is kept, else 1 MiB after a day
+    except TimeoutError:
+        history.housekeeping.put_off(f"it was ended because it took longer than {HOUSEKEEPING_WITHIN_S / 60.0:g} min")
 
 
 FIRST_BACKUP_S = 60
@@ -234,7 +259,7 @@ class RetrainingJob(ScheduledProcess):
 def scheduled_jobs(
     configuration: Configuration, config_path: Path | None, report: Report
 ) -> tuple[ScheduledProcess, ...]:
-    """Return the jobs; none without a configuration file, which their processes read themselves."""
+    """Return the jobs, not started; none without a configuration file, which their processes read themselves."""
     jobs: list[ScheduledProcess] = []
     if config_path is None:
         return ()

@@ -1,37 +1,40 @@
-"""Housekeeping now and then."""
+"""Housekeeping by the calendar."""
 
 import asyncio
+from datetime import UTC, datetime
+
+from apscheduler.triggers.interval import IntervalTrigger
 
 from config.schema.service import HistoryConfig
-from daemon.housekeeping import jobs
-from daemon.housekeeping.jobs import keep_house
+from daemon.housekeeping.jobs import HOUSEKEEPING_PERIOD_S, housekeeping_scheduler
 
 
 class Store:
-    """Counts what is asked of it; its first run takes too long."""
+    """Counts what is asked of it."""
 
     def __init__(self):
-        self.asked, self.problems = [], []
-        self.twice, self.housekeeping = asyncio.Event(), self
+        self.asked = []
+        self.once, self.housekeeping = asyncio.Event(), self
 
     async def request_housekeeping(self, config):
         self.asked.append(config)
-        if len(self.asked) == 1:
-            await asyncio.sleep(60.0)
-        self.twice.set()
-
-    def put_off(self, why):
-        self.problems.append(why)
+        self.once.set()
 
 
-async def test_the_store_is_tidied_now_and_then_with_its_configuration(monkeypatch):
-    assert jobs.HOUSEKEEPING_PERIOD_S == 600
-    monkeypatch.setattr(jobs, "HOUSEKEEPING_PERIOD_S", 0.01)
-    monkeypatch.setattr(jobs, "HOUSEKEEPING_WITHIN_S", 0.05)
+async def test_the_store_is_tidied_now_and_then_with_its_configuration():
     store, config = Store(), HistoryConfig()
-    running = asyncio.create_task(keep_house(store, config))
-    async with asyncio.timeout(30):
-        await store.twice.wait()
-    running.cancel()
-    assert store.asked[:2] == [config, config]
-    assert "took longer" in store.problems[0]
+    scheduler = housekeeping_scheduler(store, config)
+    assert not scheduler.running
+    (job,) = scheduler.get_jobs()
+    assert isinstance(job.trigger, IntervalTrigger)
+    assert job.trigger.interval.total_seconds() == HOUSEKEEPING_PERIOD_S
+    scheduler.start()
+    try:
+        (job,) = scheduler.get_jobs()
+        assert (job.coalesce, job.max_instances, job.misfire_grace_time) == (True, 1, None)
+        job.modify(next_run_time=datetime.now(UTC))
+        async with asyncio.timeout(30):
+            await store.once.wait()
+        assert store.asked == [config]
+    finally:
+        scheduler.shutdown(wait=False)

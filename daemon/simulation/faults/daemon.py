@@ -70,6 +70,32 @@ class Reported(dict[str, int]):
                 return
 
 
+class VirtualHousekeeping:
+    """Packs and prunes the store now and then, in virtual time."""
+
+    def __init__(self, history: HistoryWriter, config: HistoryConfig) -> None:
+        self._history = history
+        self._config = config
+        self._task: asyncio.Task[None] | None = None
+
+    @property
+    def running(self) -> bool:
+        return self._task is not None
+
+    def start(self) -> None:
+        self._task = asyncio.get_running_loop().create_task(self._run())
+
+    def shutdown(self, *, wait: bool) -> None:
+        if self._task is not None:
+            self._task.cancel()
+
+    async def _run(self) -> None:
+        while True:
+            await asyncio.sleep(HOUSEKEEPING_S)
+            await self._history.request_housekeeping(self._config)
+            give_memory_back()
+
+
 class CampaignDaemon:
     def __init__(self, configuration: Configuration, clock: VirtualClock, machine: Channel, acknowledged: int) -> None:
         self._configuration = configuration
@@ -101,7 +127,7 @@ class CampaignDaemon:
             open_displacement_source=self._open_displacements,
             open_cnc=lambda configuration, _: VirtualCnc(configuration.cnc, self._world, self._clock),
             hold_cnc=lambda _: nullcontext(),
-            housekeeping=self._keep_house,
+            housekeeping=self._housekeeping,
             load_model=lambda configuration: asyncio.to_thread(load_released, configuration, own_account()),
         )
         self._daemon = Daemon(self._configuration, self._clock, parts)
@@ -119,13 +145,9 @@ class CampaignDaemon:
         assert configuration.displacements is not None
         return DisplacementCsvSource(configuration.displacements, clock, after_utc_s=after_utc_s, in_thread=False)
 
-    async def _keep_house(self, history: HistoryWriter, config: HistoryConfig) -> None:
-        """Pack and prune the store now and then, in virtual time."""
+    def _housekeeping(self, history: HistoryWriter, config: HistoryConfig) -> VirtualHousekeeping:
         self._history = history
-        while True:
-            await asyncio.sleep(HOUSEKEEPING_S)
-            await history.request_housekeeping(config)
-            give_memory_back()
+        return VirtualHousekeeping(history, config)
 
     def _behind(self) -> bool:
         """Tell whether time must wait for the disk: it works, but is behind, or has not been tried again."""
