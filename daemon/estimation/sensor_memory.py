@@ -281,11 +281,7 @@ class LevelMemory:
         was = kept.reads or self._reads
         self.anew = [index for index, i in enumerate(self._sensor_ids) if was.get(i) != self._reads[i]]
         levels, now = self._levels_of(kept), self._clock.now()
-        if self.anew:
-            levels = with_gap(levels, -now.utc_ahead_s, now.monotonic_s, np.array(self.anew))
-        if kept.reads != self._reads:
-            self._store.put(self._document(levels))
-        return levels
+        return with_gap(levels, -now.utc_ahead_s, now.monotonic_s, np.array(self.anew)) if self.anew else levels
 
     def _levels_of(self, kept: SensorLevelsDocument) -> SensorLevels:
         place = {i: index for index, i in enumerate(self._sensor_ids) if index not in self.anew}

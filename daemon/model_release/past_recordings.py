@@ -14,6 +14,8 @@ from config.schema import Configuration
 from daemon.cnc.limits import commissioned_factors
 from daemon.history.reader import HistoryReader
 from daemon.history.series import CncHistory
+from daemon.state_store.documents import SensorLevelsDocument
+from daemon.state_store.store import KEYS
 from drivers.guard.sloped_axes import SlopedAxis, added_um, sloped_axes
 from models.recordings.dataset import DatasetError, Recording
 from models.records import FloatArray
@@ -30,6 +32,8 @@ LONGEST_GAP_MIN = 10.0
 """After a longer stretch without displacements a new recording begins."""
 
 
+BEGINNING_UTC_S = 1e9
+"""Of a sensor that reads something else, all of the past is another's: no history is so old [s]."""
 NAME = "history from minute "
 """A recording's name begins so; the number of its first minute since 1970 follows."""
 
@@ -93,6 +97,7 @@ def recordings_from_history(
             "displacements, or train from recordings with `toolpoint thermal train`"
         )
     sensor_ids = configuration.temperatures.sensor_ids
+    from_utc_s = max(from_utc_s, _as_read_now_since_utc_s(reader))
     pieces = list(minutes_of_history(configuration, reader, channels, um_per_unit, from_utc_s, to_utc_s))
     axes = tuple(configuration.cnc.axis_positions) if positions else ()
     runs = list(_runs(pieces, sensor_ids, tuple(channels), axes))
@@ -104,6 +109,12 @@ def recordings_from_history(
             f"{longest} at most; leave the sensors in place for longer{_why_unknown(configuration, channels)}"
         )
     return found
+
+
+def _as_read_now_since_utc_s(reader: HistoryReader) -> float:
+    """Return since when the configuration reads under every ID the sensor that it reads now [s]."""
+    gaps = (reader.get_state(KEYS[SensorLevelsDocument]) or {}).get("gaps", ())
+    return max((gap["to_utc_s"] for gap in gaps if gap["from_utc_s"] < BEGINNING_UTC_S), default=-np.inf)
 
 
 def _why_unknown(configuration: Configuration, channels: Mapping[str, str]) -> str:

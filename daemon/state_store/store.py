@@ -238,4 +238,8 @@ def _denying(kind: type[Document], problem: str) -> Any:
         return OutputFault(reasons=(f"{why} ({problem}): compare the macro variables with the machine",))
     if kind is SpindleSpeedSwitch:
         return SpindleSpeedSwitch(off_by="a start that could not read who had switched it off")
+    if kind is SensorLevelsDocument:  # the history may hold what a sensor said while it was wrong: none of it counts
+        return SensorLevelsDocument(
+            sensor_ids=(), shift_k={}, uncertainty_k={}, left=(), changes=(), reads={0: problem}
+        )
     return None

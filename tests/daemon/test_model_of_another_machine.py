@@ -10,10 +10,9 @@ import pytest
 from click.testing import CliRunner
 from model_folder import configured, open_folder, proposal
 from other_user import OTHER
+from rewired import EXCHANGED, rewired
 from small_model import model
 
-from config.schema import Configuration
-from config.schema.temperatures import LineConfig, TemperaturesConfig
 from daemon.cli import main
 from daemon.model_release.file_access import Account
 from daemon.model_release.loading import load_released
@@ -66,20 +65,12 @@ def test_releases_that_were_copied_from_another_machine_are_refused(folder: Path
         release(here, folder / "state/proposals/p.json", person="anna", trained_on="mill 7")
 
 
-def exchanged(configuration: Configuration) -> Configuration:
-    """The machine with two sensors exchanged on its first chain."""
-    of = configuration.temperatures
-    first = LineConfig(**(of.lines[0].model_dump(exclude_unset=True) | {"chain": [2, 1, 3]}))
-    temperatures = TemperaturesConfig(lines=[first, *of.lines[1:]], sensors=of.sensors, cleansing=of.cleansing)
-    return configuration.model_copy(update={"temperatures": temperatures})
-
-
 def test_a_model_whose_sensors_read_something_else_since_its_release_is_released_again_or_refused(folder: Path) -> None:
     before = configured(folder)
     first = proposal(folder, model(), "1.json")
     release(before, first, person="anna")
     assert load_released(before, STRANGER).model is not None
-    after = exchanged(before)
+    after = rewired(before, EXCHANGED)
     found = load_released(after, STRANGER)
     assert found.model is None and "sensor 1, sensor 2 read something else than when it was released" in found.inhibit
     release(after, first, person="anna")
@@ -97,7 +88,7 @@ def test_a_release_of_a_version_that_did_not_say_what_its_sensors_read_counts(fo
     release(before, proposal(folder, model()), person="anna")
     path = folder / "models/releases/0001/release.json"
     path.write_text(json.dumps({k: v for k, v in json.loads(path.read_text()).items() if k != "reads"}))
-    assert load_released(exchanged(before), STRANGER).model is not None
+    assert load_released(rewired(before, EXCHANGED), STRANGER).model is not None
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Proposals trained on the daemon's own history: measured minus applied, in a process of their own."""
 
 import json
+import shutil
 import subprocess
 import time
 from pathlib import Path
@@ -13,10 +14,13 @@ from click.testing import CliRunner
 from control_rig import SENSOR_IDS
 from installation import Installation
 from pyarrow import parquet
+from rewired import EXCHANGED, rewired
 
 from config.loader import load_configuration
 from config.schema import Configuration
+from config.schema.service import HistoryConfig
 from daemon.cli import main
+from daemon.estimation.sensor_memory import LevelMemory
 from daemon.history.layout import MachineLayout
 from daemon.history.reader import HistoryReader
 from daemon.history.writer import HistoryWriter
@@ -25,6 +29,7 @@ from daemon.model_release.past_recordings import commissioned_um_per_unit, recor
 from daemon.monitor.web.downloads import EXPORTER
 from drivers.clock import SystemClock
 from drivers.files.recording_csv import read_recording
+from models.recordings.dataset import DatasetError
 from models.thermal.family import model_from_json
 from models.thermal.features import lag_table
 
@@ -105,6 +110,24 @@ def test_training_data_are_measured_minus_applied(machine: tuple[Installation, C
     assert recording.temperatures_degc == pytest.approx(made["degc"], abs=0.01)
     assert recording.speed_rpm == pytest.approx(made["rpm"])
     assert recording.temperature_names == tuple(f"T{sensor_id}" for sensor_id in SENSOR_IDS)
+
+
+def test_nothing_is_trained_on_of_before_the_configuration_reads_what_it_reads_now(
+    machine: tuple[Installation, Configuration, float], tmp_path: Path
+) -> None:
+    """A start on an edited configuration leaves a gap from the beginning in what the levels of its sensors count as."""
+    _, configuration, begin_s = machine
+    store = tmp_path / "history.sqlite"
+    shutil.copy(configuration.history.path, store)
+    edited = rewired(configuration.model_copy(update={"history": HistoryConfig(path=store)}), EXCHANGED)
+    for each in (configuration, edited):
+        history = HistoryWriter(store, clock=SystemClock(), machine=MachineLayout.from_configuration(each))
+        memory = LevelMemory(history, each.temperatures.reads, SystemClock())
+        memory.keep(memory.restored(), memory.units)
+        history.start()
+        history.close()
+    with HistoryReader(store) as reader, pytest.raises(DatasetError, match="no 120 minutes in a row"):
+        recordings_from_history(edited, reader, None, from_utc_s=begin_s - 1e5, to_utc_s=begin_s + 1e5)
 
 
 async def test_the_job_trains_in_a_process_of_its_own_when_it_is_due(

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from control_rig import machine
+from rewired import EXCHANGED, rewired
 from twin_loop import Place, TwinLoop
 from whole_loop import lagged_model
 
-from config.schema import Configuration
-from config.schema.temperatures import LineConfig, TemperaturesConfig
+from config.schema.temperatures import TemperaturesConfig
 from models.control.state import OperatorRequest
 from models.records import OutputState
 from models.thermal.linear import LinearModel
@@ -32,15 +32,6 @@ def ahead_of_lags() -> LinearModel:
     return replace(model, solutions=(replace(solution, weights=WEIGHTS),), test_vectors=(vector,))
 
 
-def wired(whole: Configuration, chain: list[int | str]) -> Configuration:
-    """The machine with this order of the sensors on its first line."""
-    of = whole.temperatures
-    first = LineConfig(**(of.lines[0].model_dump(exclude_unset=True) | {"chain": chain}))
-    lines = [first, *of.lines[1:]]
-    temperatures = TemperaturesConfig(lines=lines, sensors=of.sensors, cleansing=of.cleansing)
-    return whole.model_copy(update={"temperatures": temperatures})
-
-
 class SetRight(TwinLoop):
     """The configuration takes two sensors for each other until a person sets it right and starts the daemon again."""
 
@@ -49,11 +40,11 @@ class SetRight(TwinLoop):
 
     def begin(self, *, exchanged: bool, away_s: float) -> "SetRight":
         self.exchanged, self.away_s = exchanged, away_s
-        self._wire([2, 1, 3] if exchanged else ["1-3"])
+        self._wire(EXCHANGED if exchanged else ["1-3"])
         return self
 
     def _wire(self, chain: list[int | str]) -> None:
-        self.loop.configuration = wired(self.loop.configuration, chain)
+        self.loop.configuration = rewired(self.loop.configuration, chain)
         self._listen()
 
     async def _pause(self) -> None:

@@ -7,8 +7,9 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
-from control_rig import HandClock, machine
+from control_rig import EPOCH_S, HandClock, machine
 
+from daemon.estimation.sensor_memory import LevelMemory
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.state_store.documents import (
@@ -216,6 +217,9 @@ def test_without_the_levels_of_sensors_no_reference_counts(history, store):
     left = store.get(ReferenceDocument)
     assert (left.state, left.record) == (ReferenceState.NONE, None)
     assert "levels" in left.ended and "checksum" in left.ended
+    memory = LevelMemory(history, {4: "one"}, HandClock())
+    ((from_s, _, sensors),) = memory.restored().gaps
+    assert from_s <= -EPOCH_S and sensors == (0,), "nor does anything that the history holds of them"
 
 
 def test_a_document_without_a_checksum_is_one_of_a_version_before(history, store):
