@@ -477,24 +477,23 @@ async def test_a_broker_that_falls_silent_or_refuses_a_topic_is_a_lost_link(answ
 
 
 @pytest.mark.wires
-@pytest.mark.parametrize("answers", [[], [CONNACK], [CONNACK, b""], [CONNACK, SUBACK % 3 + b"\x00"]])
-async def test_a_broker_that_ends_the_connection_leaves_nothing_in_the_log(
-    answers: list[bytes], caplog: pytest.LogCaptureFixture
-) -> None:
-    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        for answer in answers:
-            await reader.read(4096)
-            writer.write(answer)
-        writer.close()
+async def test_a_broker_that_ends_the_connection_leaves_nothing_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    for answers in ([], [CONNACK], [CONNACK, b""], [CONNACK, SUBACK % 3 + b"\x00"]):
 
-    server = await asyncio.start_server(serve, "127.0.0.1", 0)
-    section = {"host": "127.0.0.1", "port": server.sockets[0].getsockname()[1], "timeout_s": 0.5}
-    opened = MqttSource(source("mqtt", section, {**SENSOR, "topic": "m/7"}, period_s=0.05), SystemClock())
-    with pytest.raises(LinkError, match=r"broker 127\.0\.0\.1:\d+"):
-        await following(opened.cycles())
-    await opened.close()
-    server.close()
-    del opened
+        async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, answers: Any = answers) -> None:
+            for answer in answers:
+                await reader.read(4096)
+                writer.write(answer)
+            writer.close()
+
+        server = await asyncio.start_server(serve, "127.0.0.1", 0)
+        section = {"host": "127.0.0.1", "port": server.sockets[0].getsockname()[1], "timeout_s": 0.5}
+        opened = MqttSource(source("mqtt", section, {**SENSOR, "topic": "m/7"}, period_s=0.05), SystemClock())
+        with pytest.raises(LinkError, match=r"broker 127\.0\.0\.1:\d+"):
+            await following(opened.cycles())
+        await opened.close()
+        server.close()
+        del opened
     gc.collect()  # a future that holds an error which nobody took is logged when it goes
     await asyncio.sleep(0)
     assert not [record for record in caplog.records if record.name == "asyncio"]

@@ -45,8 +45,10 @@ def radius(response: ModalResponse, case: Cut, speed_rpm: float, depth_mm: float
     return float(spectral_radius(method, speed_rpm, np.array([depth_mm]))[0])
 
 
-@pytest.mark.parametrize("speed_rpm", [5000.0, 17300.0])
-@pytest.mark.parametrize("case", [cut("slot", 10.0), cut("up", 0.5), cut("down", 1.0), cut("up", 5.0)])
+@pytest.mark.parametrize(
+    ("case", "speed_rpm"),
+    [(cut("slot", 10.0), 5000.0), (cut("up", 0.5), 17300.0), (cut("down", 1.0), 5000.0), (cut("up", 5.0), 17300.0)],
+)
 def test_two_hundred_steps_are_converged(case: Cut, speed_rpm: float) -> None:
     for depth_mm in (0.5, 3.0):
         fine = radius(BENCHMARK, case, speed_rpm, depth_mm, 400)
@@ -84,7 +86,7 @@ def test_low_immersion_has_flip_lobes_that_the_zeroth_order_misses() -> None:
 def test_no_island_of_instability_is_missed() -> None:
     """Random cuts of low immersion; every one is looked through at 800 depths, 0.6 % apart."""
     rng = np.random.default_rng(1)
-    for _ in range(10):
+    for _ in range(6):
         case = cut(str(rng.choice(["up", "down"])), float(rng.uniform(0.1, 2.0)))
         speed_rpm = float(rng.uniform(4000.0, 25000.0))
         found = semi_discretised_lobes(BENCHMARK, case, from_rpm=speed_rpm, to_rpm=speed_rpm + 1.0, points=2)

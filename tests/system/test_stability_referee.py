@@ -21,20 +21,20 @@ from models.stability.state_space import state_space
 def test_stable_and_unstable_agree_off_the_boundary() -> None:
     agreed, disagreed, stable = 0, [], 0
     for teeth in (2, 3):
-        cases = random_cases(teeth, 25, seed=11)
+        cases = random_cases(teeth, 12, seed=11)
         same = cases.agree(passings=90, steps_per_passing=160)
         agreed += int(same.sum())
         stable += int((cases.radius < 1.0).sum())
         disagreed += [cases.described[i] for i in np.flatnonzero(~same)]
-    assert 12 <= stable <= 38
-    assert agreed >= 49, disagreed
+    assert 6 <= stable <= 18
+    assert agreed == 24, disagreed
 
 
 @pytest.mark.slow
 def test_helix_pitches_and_damping_agree_off_the_boundary() -> None:
-    cases = random_cases(3, 8, seed=5, beyond=True)
+    cases = random_cases(3, 5, seed=5, beyond=True)
     same = cases.agree(passings=90, steps_per_passing=160)
-    assert 2 <= int((cases.radius < 1.0).sum()) <= 6
+    assert 1 <= int((cases.radius < 1.0).sum()) <= 4
     assert same.all(), [cases.described[i] for i in np.flatnonzero(~same)]
 
 
@@ -65,14 +65,18 @@ def down(radial_mm: float) -> Cut:
     return Cut(teeth=2, start_rad=start, exit_rad=math.pi, tangential_n_per_m2=6e8, radial_ratio=1.0 / 3.0)
 
 
+def beside(single: list[MillingCuts]) -> MillingCuts:
+    """Return cuts that are simulated together."""
+    names = [name for name in MillingCuts.__slots__ if isinstance(getattr(single[0], name), np.ndarray)]
+    return replace(single[0], **{name: np.concatenate([getattr(cut, name) for cut in single]) for name in names})
+
+
 def test_a_stable_cut_fades_with_the_spectral_radius() -> None:
     points = [(18128.0, 0.6), (18500.0, 0.65)]
-    single = [benchmark_cut(depth_mm, speed_rpm, "down", 1.0) for speed_rpm, depth_mm in points]
-    names = [name for name in MillingCuts.__slots__ if isinstance(getattr(single[0], name), np.ndarray)]
-    both = replace(single[0], **{name: np.concatenate([getattr(cut, name) for cut in single]) for name in names})
+    both = beside([benchmark_cut(depth_mm, speed_rpm, "down", 1.0) for speed_rpm, depth_mm in points])
     changes, before = [], np.zeros((2, 2))
-    for number, sample in enumerate(mill(both, 100, 400), start=1):
-        if number % 400 == 0:
+    for number, sample in enumerate(mill(both, 100, 200), start=1):
+        if number % 200 == 0:
             changes.append(np.linalg.norm(sample.displacement_m - before, axis=1))
             before = sample.displacement_m
     faded = np.linalg.norm(changes[80:100], axis=0) / np.linalg.norm(changes[40:60], axis=0)
@@ -103,5 +107,5 @@ def test_more_depth_than_the_limit_leaves_the_material() -> None:
     cuts = benchmark_cut(1.0, 15962.8, "slot", 10.0)
     forces = np.array([sample.force_n[0] for sample in mill(cuts, 100, 160)])[-1600:]
     assert np.mean(np.all(forces == 0.0, axis=1)) > 0.05
-    assert not is_stable(cuts, 100, 160)[0]
-    assert is_stable(benchmark_cut(0.25, 15962.8, "slot", 10.0), 100, 160)[0]
+    both = beside([cuts, benchmark_cut(0.25, 15962.8, "slot", 10.0)])
+    assert is_stable(both, 100, 160).tolist() == [False, True]
