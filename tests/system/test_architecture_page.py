@@ -7,6 +7,8 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, get_args
 
+from source_trees import tree
+
 from daemon import messages, snapshots
 from daemon.compensation.parts import ControlParts
 from daemon.estimation.inputs import Message
@@ -58,7 +60,7 @@ def test_only_the_simulation_and_the_tests_import_the_simulated_machine() -> Non
         str(path.relative_to(ROOT))
         for folder in ("models", "config", "drivers", "daemon")
         for path in sorted((ROOT / folder).rglob("*.py"))
-        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        for node in ast.walk(tree(path))
         if isinstance(node, ast.ImportFrom | ast.Import) and any("drivers.sim" in name for name in imported(node))
     }
     assert importing
@@ -100,7 +102,7 @@ def test_threads_are_started_where_the_page_says_and_nowhere_else() -> None:
         for path in sorted((ROOT / folder).rglob("*.py")):
             place = str(path.relative_to(ROOT))
             if not place.startswith(BESIDE):
-                calls = (node for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.Call))
+                calls = (node for node in ast.walk(tree(path)) if isinstance(node, ast.Call))
                 starting |= {place for call in calls if called(call) in STARTS_THREADS}
     assert starting == {names(row[0])[0] for row in rows("## Time and ownership", table=1)}
 
@@ -113,7 +115,7 @@ def test_the_monitor_reads_snapshots_and_no_task() -> None:
     allowed = ("daemon.monitor", "daemon.snapshots", "daemon.messages", "daemon.telemetry", "daemon.rate_limit")
     allowed += ("daemon.history.",)  # through the reader, in threads of its own
     for path in sorted((ROOT / "daemon" / "monitor").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        for node in ast.walk(tree(path)):
             if isinstance(node, ast.ImportFrom | ast.Import):
                 for name in imported(node):
                     assert not name.startswith("daemon.") or name.startswith(allowed), f"{path.name}: {name}"

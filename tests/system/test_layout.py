@@ -1,7 +1,6 @@
 """The house rules that a reader counts on: folders, sizes, docstrings, and what the wheel holds."""
 
 import ast
-import functools
 import json
 import re
 import subprocess
@@ -12,6 +11,7 @@ from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
+from source_trees import tree
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("models", "drivers", "config", "daemon")
@@ -24,12 +24,6 @@ MOST_PARAMETERS = 8
 def sources(*folders: str) -> Iterator[Path]:
     for folder in folders:
         yield from sorted(path for path in (ROOT / folder).rglob("*.py") if "node_modules" not in path.parts)
-
-
-@functools.cache
-def tree(path: Path) -> ast.Module:
-    """Parse a file once for all that is asked of it."""
-    return ast.parse(path.read_text("utf-8"))
 
 
 def functions(path: Path) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
@@ -136,7 +130,18 @@ def test_no_other_distribution_owns_a_package_name() -> None:
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
     folder = tmp_path_factory.mktemp("wheel")
     built = subprocess.run(
-        [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(folder), str(ROOT)],
+        [
+            sys.executable,
+            "-m",
+            "pip",
+            "wheel",
+            "--quiet",
+            "--no-deps",
+            "--no-build-isolation",
+            "--wheel-dir",
+            str(folder),
+            str(ROOT),
+        ],
         capture_output=True,
         text=True,
         check=False,

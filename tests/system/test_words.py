@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from source_trees import tree
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("models", "drivers", "config", "daemon")
@@ -18,7 +19,7 @@ def names() -> frozenset[str]:
     for package in PACKAGES:
         for path in (ROOT / package).rglob("*.py"):
             found |= {path.stem, path.parent.name}
-            for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            for node in ast.walk(tree(path)):
                 match node:
                     case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name) | ast.ClassDef(name=name):
                         found.add(name)
