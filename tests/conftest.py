@@ -24,6 +24,7 @@ LONGEST_FIRST = (
     "tests/daemon/test_truth_of_combined_faults.py",
     "tests/literature/test_fl_thermal_families.py",
     f"{HARDSHIPS}[store]",
+    "tests/system/test_on_wires.py",
     "tests/system/test_faults.py",
     "tests/daemon/test_truth_after_bad_input.py",
     f"{HARDSHIPS}[calendar]",
@@ -31,15 +32,15 @@ LONGEST_FIRST = (
     "tests/daemon/test_replay_follows.py",
     "tests/daemon/test_lags_on_line.py",
     "tests/system/test_warm_up.py",
-    "tests/system/test_stability_referee.py",
+    "tests/system/test_pages.py",
     "tests/zoo/test_zoo.py",
+    "tests/system/test_own_machine.py",
+    "tests/system/test_stability_referee.py",
     "tests/models/test_chatter.py",
     "tests/daemon/test_cli_thermal_evaluate.py",
     "tests/system/test_warm_up_spindle.py",
     "tests/models/test_semi_discretisation.py",
     "tests/system/test_fault_campaign.py",
-    "tests/system/test_pages.py",
-    "tests/system/test_end_to_end.py",
     "tests/daemon/test_monitor_contract.py",
     "tests/system/test_spindle_speed_wires.py",
     "tests/daemon/test_planner_process.py",
@@ -52,6 +53,13 @@ ONE_BY_ONE = ("tests/system/test_hardships.py", "tests/daemon/test_replay_follow
 IN_MEMORY = Path("/dev/shm")
 """Where files never wait for a disk. No test takes away what was not synced by taking away a disk's power."""
 ENOUGH_BYTES = 4 << 30
+OF_SOURCES = (
+    "tests/system/test_layout.py",
+    "tests/system/test_layers.py",
+    "tests/system/test_architecture_page.py",
+    "tests/system/test_words.py",
+)
+"""Files that ask the same trees of the sources, and share them in one process."""
 SOME_OBJECTS = 50_000
 """After so many new objects garbage is looked for among them, which saves a twentieth of the processor time."""
 _folder = pytest.StashKey[str]()
@@ -147,6 +155,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
     class InOrder(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
+            if nodeid.startswith(OF_SOURCES):
+                return OF_SOURCES[0]
             return nodeid if nodeid.startswith(ONE_BY_ONE) else super()._split_scope(nodeid)
 
     if config.getoption("dist") != "loadfile":

@@ -62,7 +62,7 @@ def plays(options: argparse.Namespace) -> dict[str, tuple[Play, bool]]:
     for name, cut in CUTS.items():
         cuts = partial(store_rows.power_cuts, count=1 if quick else 25, moments=moments(name), cut=cut)
         found[f"power cut, {name}"] = (cuts, False)
-    pages = partial(store_rows.damaged_pages, count=2 if quick else 25, moments=moments("pages"))
+    pages = partial(store_rows.damaged_pages, count=1 if quick else 25, moments=moments("pages"))
     found["pages of the store damaged"] = (pages, False)
     found["full disk"] = (partial(store_rows.full_disk, count=few), False)
     found["switched off on a full disk"] = (partial(store_rows.switched_off_on_full_disk, count=few), False)
@@ -77,7 +77,7 @@ def plays(options: argparse.Namespace) -> dict[str, tuple[Play, bool]]:
     found["stopped for 10 s"] = (partial(process_rows.stopped, seconds=10.0), False)
     found["stopped for 10 min"] = (partial(process_rows.stopped, seconds=600.0), False)
     found["calendar set by hours and days"] = (
-        partial(clock_rows.steps, steps_s=clock_rows.STEPS_S[:4] if quick else clock_rows.STEPS_S),
+        partial(clock_rows.steps, steps_s=clock_rows.STEPS_S[2:4] if quick else clock_rows.STEPS_S),
         True,
     )
     found["summer time begins and ends"] = (clock_rows.summer_time, True)

@@ -164,7 +164,8 @@ def damaged_pages(rig: Rig, row: Row, count: int, moments: random.Random) -> Non
         # The store is older than the CNC now, as after a restored back-up: a person compares and acknowledges.
         rig.start()
         rig.wait("the CNC", lambda status: status["output"]["since_s"] is not None, PATIENCE_S)
-        rig.running.client.ask("acknowledge", fault=rig.status()["output"]["fault"])
+        if fault := rig.status()["output"]["fault"]:
+            rig.running.client.ask("acknowledge", fault=fault)
         rig.ensure_following()
 
 

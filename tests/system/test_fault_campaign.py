@@ -184,7 +184,7 @@ def test_the_same_seed_gives_the_same_run(tmp_path: Path) -> None:
     for name in ("first", "second"):
         folder = tmp_path / name
         folder.mkdir()
-        result = run(folder, script, end_s=400.0)
+        result = run(folder, script, end_s=300.0)
         accounts.append((result.states_s, result.blocks, result.cycles, result.acknowledged))
         with HistoryReader(folder / "history.sqlite") as reader:
             accounts[-1] += ([(w.time_s, w.compensation_um) for w in reader.writes(0.0, 1e11)],)
@@ -217,17 +217,6 @@ def test_a_daemon_that_dies_by_itself_and_a_greedy_one_are_found(
 
 def toolpoint(*arguments: str) -> ClickResult:
     return CliRunner().invoke(main, ["faults", *arguments])
-
-
-def test_the_command_prints_its_contract() -> None:
-    done = toolpoint("--days", "0.01", "--json", "-")
-    assert done.exit_code == 0, done.stderr
-    content = json.loads(done.stdout)
-    assert content["days"] == pytest.approx(0.01, abs=0.001)
-    assert content["acknowledged_cycles_lost"] == 0
-    assert f"seed {content['seed']}\n" in done.stderr, "drawn, and printed so that it can be played again"
-    assert content["processor_s"] > 0
-    assert "day 0.00 of 0.01" in done.stderr
 
 
 def test_a_campaign_stays_on_one_core_of_those_that_it_was_given() -> None:

@@ -3,8 +3,6 @@
 import asyncio
 import json
 import socket
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -101,24 +99,6 @@ def test_check_reads_the_box_and_says_that_it_is_not_encrypted(tmp_path: Path, b
     checked = CliRunner().invoke(main, ["check", "--config", str(described(tmp_path, port=box.port)), "--json", "-"])
     (finding,) = (each for each in json.loads(checked.stdout) if each["subject"] == "source pt100")
     assert finding["passed"] and "7 sensors" in finding["detail"] and "NOT encrypted" in finding["detail"]
-
-
-@pytest.mark.wires
-@pytest.mark.slow
-def test_the_demo_compensates_with_its_sensors_on_another_wire() -> None:
-    command = [sys.executable, "-P", "-m", "daemon.cli", "demo", "--sensors", "modbus", "--headless", "--minutes", "20"]
-    done = subprocess.run(
-        [*command, "--json", "-"],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=REPOSITORY,
-        env={"PYTHONPATH": str(REPOSITORY)},
-    )
-    assert done.returncode == 0, done.stderr
-    result = json.loads(done.stdout)
-    assert result["cycles"]["expected"] >= 350, "120 of each of three parts, but for what a start takes"
-    assert result["error_um"]["z"]["verdict"] == "passed"
 
 
 def pasted(output: str, path: Path) -> Path:

@@ -31,7 +31,7 @@ def request(**changes: object) -> WarmUpRequest:
     given: dict[str, object] = {
         "demand": SpeedDemand(programmed_rpm=10000.0, depth_mm=4.0, tolerance_fraction=0.02),
         "limits": SpeedLimits(machine_lowest_rpm=1000.0, machine_highest_rpm=12000.0, within_fraction=0.25),
-        "minutes": 8,
+        "minutes": 5,
         "limit_every_min": None,
     }
     return WarmUpRequest(**(given | changes))  # type: ignore[arg-type]
