@@ -48,8 +48,14 @@ LONGEST_FIRST = (
 )
 """What takes longest, each that waits beside one that computes: whoever comes last leaves the other processors idle,
 and so do those that wait beside each other."""
-ONE_BY_ONE = ("tests/system/test_hardships.py", "tests/daemon/test_replay_follows.py")
-"""Files whose tests share nothing and take long, and are given to processes one by one."""
+ONE_BY_ONE = (
+    "tests/system/test_hardships.py",
+    "tests/daemon/test_replay_follows.py",
+    "tests/literature/test_fl_thermal_families.py::test_split_c",
+    "tests/system/test_fault_campaign.py::test_a_part",
+    "tests/system/test_own_machine.py",
+)
+"""Tests that share nothing with their files and take long, and are given to processes one by one."""
 IN_MEMORY = Path("/dev/shm")
 """Where files never wait for a disk. No test takes away what was not synced by taking away a disk's power."""
 ENOUGH_BYTES = 4 << 30

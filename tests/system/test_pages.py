@@ -22,6 +22,7 @@ from urllib.parse import urlsplit
 import history_records as make
 import numpy as np
 import pytest
+import pytest_asyncio
 from control_rig import HandClock, Rig, record_for, running
 from memory_cnc import MemoryNc
 from monitor_bench import PASSWORD, MonitorBench, accounts_file, monitor, parts_of
@@ -33,6 +34,7 @@ from daemon.monitor.web.serving import serve_monitor
 from daemon.simulation.processes import free_port
 
 ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.asyncio(loop_scope="module")
 BUILD = runpy.run_path(str(ROOT / "hatch_build.py"))
 CHROMIUM = shutil.which("chromium")
 PATIENCE_MS = 120_000
@@ -61,15 +63,28 @@ def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
     return (folder / "node_modules/axe-core/axe.min.js").read_text("utf-8")
 
 
-@contextlib.asynccontextmanager
-async def chromium() -> AsyncIterator[Browser]:
+STARTED: list[Browser] = []
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module", autouse=True)
+async def started() -> AsyncIterator[None]:
+    """Start a browser for all of these tests: that takes longer than most of them."""
     async with async_playwright() as playwright:
         arguments = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run"]
-        browser = await playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
-        try:
-            yield browser
-        finally:
-            await browser.close()
+        STARTED.append(await playwright.chromium.launch(executable_path=CHROMIUM, args=arguments))
+        yield
+        await STARTED.pop().close()
+
+
+@contextlib.asynccontextmanager
+async def chromium() -> AsyncIterator[Browser]:
+    """Yield the browser; what a test has opened in it is closed with the test, cookies and all."""
+    (browser,) = STARTED
+    try:
+        yield browser
+    finally:
+        for context in browser.contexts:
+            await context.close()
 
 
 class Watched:
@@ -102,7 +117,7 @@ async def watched(browser: Browser, base: str, **context: Any) -> Watched:
 
 @contextlib.asynccontextmanager
 async def overview(base: str) -> AsyncIterator[Watched]:
-    """Open the overview in a browser of its own."""
+    """Open the overview, with nothing of another test."""
     async with chromium() as browser:
         seen = await watched(browser, base)
         await seen.open("overview")
