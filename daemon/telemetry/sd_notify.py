@@ -13,6 +13,7 @@ class ServiceManager:
         self._socket: socket.socket | None = None
         if self._address:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+            self._socket.setblocking(False)
 
     def ready(self, status: str) -> None:
         self._send(f"READY=1\nSTATUS={status}")
@@ -30,5 +31,5 @@ class ServiceManager:
         try:
             self._socket.sendto(message.encode(), address)
         except OSError:
-            # The socket has no listener any more; the watchdog then does its work, which is the right outcome.
+            # Nobody listens, or nobody has read for many messages: control goes on, and the watchdog does its work.
             return

@@ -27,6 +27,14 @@ def test_messages_are_systemds(listener):
     assert received == [["READY=1", "STATUS=running"], ["WATCHDOG=1", "STATUS=ACTIVE"], ["STOPPING=1"]]
 
 
+def test_a_manager_that_does_not_read_holds_nothing_up(listener):
+    manager = ServiceManager({"NOTIFY_SOCKET": listener.getsockname()})
+    for _ in range(1000):
+        manager.watchdog("ACTIVE")
+    listener.setblocking(False)
+    assert listener.recv(1000).startswith(b"WATCHDOG=1")
+
+
 async def test_the_watchdog_is_fed_by_the_control_tick_and_by_nothing_else(listener, tmp_path):
     manager = ServiceManager({"NOTIFY_SOCKET": listener.getsockname()})
     listener.setblocking(False)
