@@ -10,7 +10,7 @@ from wires import EVER, check_audit
 from config.records.commissioning import CommissionedAxis
 from config.schema.compensation import ToolTermConfig
 from daemon.history import HistoryReader
-from daemon.messages import ReferenceRefused, ReferenceRequest, ReferenceTakenUp
+from daemon.messages import ReferenceRebased, ReferenceRefused, ReferenceRequest, ReferenceTakenUp
 from models.control.state import OperatorRequest
 from models.records import WriteOutcome
 
@@ -54,6 +54,19 @@ async def test_a_restart_resumes_from_the_echo_with_the_same_reference(bench):
         assert rig.state == "ACTIVE"
         await rig.follow(0.0, -12.0, 20)
         assert rig.applied["z"] == pytest.approx(12.0, abs=0.11)
+
+
+async def test_a_restart_takes_the_reference_up_as_returned_sensors_have_set_it_anew(bench):
+    async with running(bench.rig()) as rig:
+        await rig.active(handshake=True)
+        anew = replace(rig.control.reference, degc=rig.control.reference.degc + 1.0)
+        rig.control.deliver(ReferenceRebased(reference=anew))
+        await rig.turn()
+        rig.alive()
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        (taken_up,) = [message for message in rig.asked if isinstance(message, ReferenceTakenUp)]
+        assert taken_up.reference.degc == pytest.approx(anew.degc)
 
 
 async def test_a_restart_keeps_the_baseline_of_the_second_reference(bench):

@@ -212,8 +212,10 @@ async def test_a_link_lost_twice_in_a_cut_changes_nothing_in_it(bench: SpeedRig,
         await bench.pass_by(2.0, CUT)
         assert bench.picture()["commanded_rpm"] is None
         bench.nc.reachable, bench.nc.groups_until_lost = True, taken_groups
+        written = len(bench.written())
         await bench.rig.connected()
         await bench.pass_by(3.0, CUT)
+        assert len(bench.written()) > written, "what may be torn is written again at once"
     await bench.rig.connected()
     await bench.pass_by(20.0, CUT)
     assert {value for number, value in bench.nc.written[count:] if number == MACROS.speed} == {speed_rpm}
