@@ -94,7 +94,7 @@ class opened:
             name = "UTF-8" if self._encoding == "utf-8-sig" else self._encoding
             sentence = (
                 f"is not {name} at or after this line{byte}; save it as UTF-8, or name its encoding in the map, which "
-                "`toolpoint thermal train --map-out map.yaml` proposes"
+                "`toolpoint thermal train RECORDING -o model.json --map-out map.yaml` proposes"
             )
             raise EncodingError(str(self._place.refuse(sentence))) from error
         except OSError as error:

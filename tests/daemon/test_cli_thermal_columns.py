@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 from thermal_runs import run
 
+from config.recordings import recording_map
 from config.recordings.recording_map import RecordingMap, load_recording_map
 from daemon.cli import main
 from drivers.files.recording_csv import read_recording, write_recording
@@ -237,3 +238,12 @@ def test_what_has_no_usual_name_beside_usual_ones_is_named_and_the_proposed_map_
     proposed = load_recording_map(written)
     assert (proposed.speed, proposed.speed_unit) == ("speed [krpm]", "krpm")
     assert read_recording(paths[0], proposed).speed_rpm.max() > 1000.0
+
+
+def test_the_command_that_a_refusal_advises_proposes_the_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    advised = recording_map._MAP_IT.split("`")[1].split()
+    assert advised[:3] == ["toolpoint", "thermal", "train"]
+    monkeypatch.chdir(tmp_path)
+    foreign(tmp_path / "RECORDING", 1)
+    result = thermal(*advised[2:], "--model", "ridge")
+    assert "Missing option" not in result.stderr and (tmp_path / "map.yaml").is_file(), result.stderr
