@@ -2,6 +2,7 @@
 
 import asyncio
 import sqlite3
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import aclosing, closing
 from functools import partial
@@ -25,6 +26,8 @@ GAP_H = 6
 """So many hours without a record may be a step of the clock [h]."""
 LONGEST_UNPROVEN_H = 30 * 24
 """After so many hours with records any gap before them counts as time that has passed [h]."""
+LOST_SAID_S, LOST_SHOWN_S = 86_400.0, 93_600.0
+"""What a sink has missed is said once a day, and is a problem until nothing more has been missed for as long [s]."""
 SAID_H, PROBLEM_H = 4 * 24, 30 * 24
 """Such a gap is said from here on, and is a problem from there on [h]."""
 RECORDED = """
@@ -69,6 +72,7 @@ class Housekeeping:
         self._history, self._sinks, self._report = history, sinks, report
         self._running = asyncio.Lock()
         self._said_h = 0
+        self._untaken, self._lost, self._lost_utc_s = Counter[str](), "", float("-inf")
         self.problem = ""
         """Why the latest run did not come to its end, or deletes less than it should; '' when it did."""
 
@@ -108,8 +112,14 @@ class Housekeeping:
         believed_s = now_utc_s - ahead_h * 3600.0
         while await history.submit(partial(tidy, config=config, now_utc_s=believed_s, report=report, held=held)):
             pass
-        for stream, count in report.untaken.items():
-            history.event("sinks", _untaken_in_words(stream, count), "daemon")
+        if report.untaken:
+            self._untaken += report.untaken
+            if not 0.0 <= now_utc_s - self._lost_utc_s < LOST_SAID_S:
+                self._lost, self._lost_utc_s = _untaken_in_words(self._untaken), now_utc_s
+                history.event("sinks", self._lost, "daemon")
+                self._untaken.clear()
+        if 0.0 <= now_utc_s - self._lost_utc_s < LOST_SHOWN_S:
+            problem = problem or self._lost
         return problem
 
     def _say_unproven(self, ahead_h: int) -> str:
@@ -132,9 +142,10 @@ def _unproven_h(path: Path, now_utc_s: float) -> int:
         return unproven_h(connection, now_utc_s)
 
 
-def _untaken_in_words(stream: str, count: int) -> str:
+def _untaken_in_words(untaken: Mapping[str, int]) -> str:
+    rows = ", ".join(f"{count} {stream}" for stream, count in untaken.items())
     return (
-        f"{count} rows of {stream} that a sink has not taken were deleted, the oldest first: they had waited for it "
+        f"rows that a sink has not taken were deleted ({rows}), the oldest first: they had waited for it "
         "longer than history.keep_for_sinks_days; `toolpoint sink status` says what keeps the sink from taking more"
     )
 

@@ -26,6 +26,7 @@ from daemon.cli import main
 from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.cursors import Cursor, cursor_path
 from daemon.history.database import HistoryError, connect_reader
+from daemon.housekeeping.jobs import job_snapshots
 from daemon.sinks.contract import Progress, SinkError
 from daemon.sinks.outbox import STREAMS, Outbox
 from daemon.sinks.running import SinkRunner, alone, run_sinks, sink_status
@@ -144,8 +145,35 @@ async def test_retention_waits_for_a_sink_and_then_drops_the_oldest_and_says_so(
             (extremes,) = connection.execute("SELECT count(*) FROM extremes WHERE kind = 'temperatures'").fetchone()
             assert extremes == 0
             said = [event.text for event in reader.events(0.0, 4e9) if event.kind == "sinks"]
-        assert len(said) == 1 and said[0].startswith("12 rows of temperatures that a sink has not taken were deleted")
+        assert len(said) == 1 and said[0].startswith("rows that a sink has not taken were deleted (12 temperatures)")
         assert "history.keep_for_sinks_days" in said[0]
+    finally:
+        await asyncio.to_thread(writer.close)
+
+
+async def test_what_a_sink_misses_is_said_once_a_day_and_shown_while_it_lasts(tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    config = HistoryConfig(keep_temperatures_days=1.0, keep_for_sinks_days=0.5, pack_after_s=3e7)
+    writer = writer_of(store, EPOCH_S, sinks=("plant",))
+    try:
+        for hours in range(0, 96, 6):  # the daemon runs on, and the sink is away
+            writer._clock.utc_s = EPOCH_S + hours * 3600.0
+            hour(writer, writer._clock.utc_s)
+            await writer.flushed()
+            await writer.request_housekeeping(config)
+            (tidying,) = job_snapshots(writer, ())
+            assert ("that a sink has not taken" in tidying.problem) == (hours > 36), f"{hours}: {tidying.problem}"
+        await writer.flushed()
+        with HistoryReader(store) as reader:
+            said = [event.text for event in reader.events(0.0, 4e9) if event.kind == "sinks"]
+        assert len(said) == 3 and "(48 temperatures)" in said[1], said
+        take(store, Taker())
+        for hours in range(96, 126, 6):
+            writer._clock.utc_s = EPOCH_S + hours * 3600.0
+            writer.event("test", "still here")
+            await writer.flushed()
+            await writer.request_housekeeping(config)
+        assert writer.housekeeping.problem == ""
     finally:
         await asyncio.to_thread(writer.close)
 
