@@ -47,7 +47,7 @@ SERVED = ("monitor.crt", "monitor.key", "users", "tags.der", "tags.pem", "truste
 
 
 @pytest.mark.parametrize(
-    ("name", "damage"), [*((name, "half") for name in SERVED), ("monitor.crt", "folder"), ("users", "folder")]
+    ("name", "damage"), [*((name, "half") for name in SERVED), ("monitor.key", "folder"), ("users", "folder")]
 )
 def test_what_is_damaged_is_named(folder: Path, name: str, damage: str) -> None:
     path = folder / name
