@@ -16,7 +16,7 @@ class RollingMean:
 
     The on-line input of a model is filtered as its training input was (one-minute means). Vectors
     may arrive slightly out of order, because lines that overlap complete in another order than
-    they begin; a clock that went back by more than the window starts the mean anew.
+    they begin; one of before the window, as of a logger that writes its rows minutes late, is left out.
 
     Raises ValueError when the window is not positive.
 
@@ -45,8 +45,7 @@ class RollingMean:
         if self._times_s and values.shape != self._rows.shape[1:]:
             raise ValueError(f"{values.shape} sensors where {self._rows.shape[1:]} were before")
         if time_s <= self._newest_s - self.window_s:
-            self._times_s = []
-            self._newest_s = -np.inf
+            return
         self._newest_s = max(self._newest_s, time_s)
         self._forget(self._newest_s - self.window_s)
         if self._first + len(self._times_s) >= len(self._rows):
