@@ -33,8 +33,8 @@ ONCE_WRONG = {
 }
 
 
-FOLLOWED = frozenset((2005, 2006, 2009, 2014, 2015, 2017, 2019, 2201, 2205, 2208, 2210, 2212, 2216))
-"""Of 20 random histories from 2000 on, and 20 from 2200 on with restarts, those that end with an output that follows:
+FOLLOWED = frozenset((2005, 2006, 2009, 2201, 2205, 2208, 2210))
+"""Of 12 random histories from 2000 on, and 12 from 2200 on with restarts, those that end with an output that follows:
 few others find anything at their end."""
 
 
@@ -72,7 +72,7 @@ def test_some_histories_end_at_the_truth_or_hold(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_many_histories_end_at_the_truth_or_hold(tmp_path: Path, times_as_many: int) -> None:
-    judge(tmp_path, telling(2000, 20, times_as_many))
+    judge(tmp_path, telling(2000, 12, times_as_many))
 
 
 def test_some_histories_with_restarts_and_a_guard_that_goes_to_zero_end_at_the_truth_or_hold(tmp_path: Path) -> None:
@@ -83,4 +83,4 @@ def test_some_histories_with_restarts_and_a_guard_that_goes_to_zero_end_at_the_t
 def test_many_histories_with_restarts_and_a_guard_that_goes_to_zero_end_at_the_truth_or_hold(
     tmp_path: Path, times_as_many: int
 ) -> None:
-    judge(tmp_path, telling(2200, 20, times_as_many), wider=True)
+    judge(tmp_path, telling(2200, 12, times_as_many), wider=True)
