@@ -19,8 +19,11 @@ SensorNumber = Annotated[
 """The loader puts a sensor for each number in the place of a range (config/loader.py)."""
 ChainEntry = Annotated[int, Field(ge=1)] | Annotated[str, Field(pattern=RANGE_PATTERN)]
 
-SAID = {"component", "part", "label", "min_degc", "max_degc"}
+SAID = {"component", "part", "label", "open", "resolution", "min_degc", "max_degc"}
 """Keys of a sensor that change nothing of what it reads."""
+HOW = dict.fromkeys(("timeout_s", "gap", "most_registers", "max_line_bytes", "user_name", "password_file"), True)
+HOW |= dict.fromkeys(("tls", "ca_certificate", "security"), True) | {"file": {"poll_period_s", "max_line_bytes"}}
+"""Keys of a connection that change nothing of what is read over it."""
 LONGEST_RANGE = 100_000
 LONGEST_CHAIN = 200
 """Sensors that one LATSIS line can carry."""
@@ -353,6 +356,10 @@ class TemperaturesConfig(Section):
             where |= {i: f"{line.port} {line.id_offset + place}" for place, i in enumerate(line.sensor_ids)}
         for source in self.sources or ():
             connection = source.connection
-            where |= dict.fromkeys(source.sensor_ids, connection.model_dump_json(exclude={connection.listed}))
-        texts = {each.id: where[each.id] + each.model_dump_json(exclude=SAID) for each in self.every_sensor}
+            over = connection.model_dump_json(exclude=HOW | {connection.listed: True}, exclude_defaults=True)
+            where |= dict.fromkeys(source.sensor_ids, over)
+        texts = {
+            each.id: where[each.id] + each.model_dump_json(exclude=SAID, exclude_defaults=True)
+            for each in self.every_sensor
+        }
         return {sensor_id: hashlib.sha256(text.encode()).hexdigest()[:16] for sensor_id, text in texts.items()}

@@ -113,7 +113,7 @@ def test_the_history_of_another_machine_fills_no_lags(tmp_path: Path) -> None:
     ("changes", "anew"),
     [
         ({"label": "B", "component": "table", "part": "left"}, False),
-        ({"min_degc": 0.0, "max_degc": 70.0}, False),
+        ({"min_degc": 0.0, "max_degc": 70.0, "open": [999.9], "resolution": 0.5}, False),
         ({"scale": 0.1}, True),
         ({"offset": -1.5}, True),
         ({"unit": "degF"}, True),
@@ -126,6 +126,20 @@ def test_what_a_sensor_is_called_is_not_what_it_reads(changes: dict[str, Any], a
         {"driver": "modbus", "modbus": {"host": "192.168.10.30", "sensors": [sensor | more]}} for more in ({}, changes)
     ]
     before, after = (TemperaturesConfig.model_validate({"sources": [box | {"name": "box"}]}).reads for box in boxes)
+    assert (before != after) == anew
+
+
+@pytest.mark.parametrize(
+    ("changes", "anew"),
+    [({"timeout_s": 3.0, "gap": 9}, False), ({"host": "192.168.10.31"}, True), ({"unit_id": 4}, True)],
+)
+def test_how_long_a_box_is_waited_for_is_not_what_it_reads(changes: dict[str, Any], anew: bool) -> None:
+    sensors = [{"id": 9, "component": "bed", "address": 3}]
+    wires = [{"host": "192.168.10.30", "sensors": sensors} | more for more in ({}, changes)]
+    before, after = (
+        TemperaturesConfig.model_validate({"sources": [{"name": "box", "driver": "modbus", "modbus": wire}]}).reads
+        for wire in wires
+    )
     assert (before != after) == anew
 
 
