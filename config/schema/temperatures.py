@@ -2,7 +2,7 @@
 
 import hashlib
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, WithJsonSchema, field_validator, model_validator
 
@@ -21,8 +21,9 @@ ChainEntry = Annotated[int, Field(ge=1)] | Annotated[str, Field(pattern=RANGE_PA
 
 SAID = {"component", "part", "label", "open", "resolution", "min_degc", "max_degc"}
 """Keys of a sensor that change nothing of what it reads."""
-HOW = dict.fromkeys(("timeout_s", "gap", "most_registers", "max_line_bytes", "user_name", "password_file"), True)
-HOW |= dict.fromkeys(("tls", "ca_certificate", "security"), True) | {"file": {"poll_period_s", "max_line_bytes"}}
+_LOG_IN = ("user_name", "password_file", "tls", "ca_certificate", "security")
+HOW: dict[str, Any] = dict.fromkeys(("timeout_s", "gap", "most_registers", "max_line_bytes", *_LOG_IN), True)
+HOW |= {"file": {"poll_period_s", "max_line_bytes"}}
 """Keys of a connection that change nothing of what is read over it."""
 LONGEST_RANGE = 100_000
 LONGEST_CHAIN = 200
