@@ -14,9 +14,12 @@ class ServiceManager:
         if self._address:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
             self._socket.setblocking(False)
+        self._untold = ""
+        """That the daemon is ready, until the manager has taken it."""
 
     def ready(self, status: str) -> None:
-        self._send(f"READY=1\nSTATUS={status}")
+        self._untold = "READY=1\n"
+        self._send(f"STATUS={status}")
 
     def watchdog(self, status: str) -> None:
         self._send(f"WATCHDOG=1\nSTATUS={status}")
@@ -29,7 +32,8 @@ class ServiceManager:
             return
         address = "\0" + self._address[1:] if self._address.startswith("@") else self._address
         try:
-            self._socket.sendto(message.encode(), address)
+            self._socket.sendto((self._untold + message).encode(), address)
         except OSError:
             # Nobody listens, or nobody has read for many messages: control goes on, and the watchdog does its work.
             return
+        self._untold = ""

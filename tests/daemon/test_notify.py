@@ -31,8 +31,17 @@ def test_a_manager_that_does_not_read_holds_nothing_up(listener):
     manager = ServiceManager({"NOTIFY_SOCKET": listener.getsockname()})
     for _ in range(1000):
         manager.watchdog("ACTIVE")
+    manager.ready("running")
     listener.setblocking(False)
-    assert listener.recv(1000).startswith(b"WATCHDOG=1")
+    received = []
+    with pytest.raises(BlockingIOError):
+        while True:
+            received.append(listener.recv(1000))
+    assert {each.split(b"\n")[0] for each in received} == {b"WATCHDOG=1"}
+    manager.watchdog("ACTIVE")
+    manager.watchdog("ACTIVE")
+    assert listener.recv(1000) == b"READY=1\nWATCHDOG=1\nSTATUS=ACTIVE", "or the start would end at its time limit"
+    assert listener.recv(1000) == b"WATCHDOG=1\nSTATUS=ACTIVE"
 
 
 async def test_the_watchdog_is_fed_by_the_control_tick_and_by_nothing_else(listener, tmp_path):
