@@ -38,7 +38,7 @@ def inputs_now(configuration: Configuration) -> dict[str, str]:
     """Return what every sensor reads, and the sensors of every label, by what a model's release calls them."""
     reads = [*configuration.temperatures.reads.items()]
     labels = configuration.temperatures.labels.items()
-    of_labels = {f"label {label}": " ".join(reads[place][1] for place in places) for label, places in labels}
+    of_labels = {f"label {label}": " ".join(sorted(reads[place][1] for place in places)) for label, places in labels}
     return {f"sensor {sensor_id}": read for sensor_id, read in reads} | of_labels
 
 

@@ -95,6 +95,9 @@ def test_a_model_whose_label_has_other_sensors_since_its_release_plans_no_speed(
     release(configuration, proposed(folder), person="anna", kind=BEARINGS)
     assert open_planning(configuration, STRANGER).inhibit == ""
     of = configuration.temperatures
+    turned = TemperaturesConfig(lines=of.lines, sensors=[*reversed(of.sensors)], cleansing=of.cleansing)
+    assert max(map(len, of.labels.values())) > 1
+    assert open_planning(configuration.model_copy(update={"temperatures": turned}), STRANGER).inhibit == ""
     first, *others = of.sensors
     sensors = [first.model_copy(update={"label": "B"}), *others]
     temperatures = TemperaturesConfig(lines=of.lines, sensors=sensors, cleansing=of.cleansing)
