@@ -32,6 +32,8 @@ MOMENT_S = 10.0
 CHANGES_KEPT, OF_EACH = 200, 4
 """So many changes of shifts and jumps are kept, but of a whole machine so many of each sensor."""
 GAPS_KEPT = 100
+BEGINNING_S = -1e11
+"""Of a sensor that reads something else, all of the past is another's: older than any history, by any clock [s]."""
 JUST_S = 1e-3
 """A sensor was right until so long before its jump [s]."""
 UNKNOWN_K = 1e3
@@ -208,7 +210,12 @@ def unshifted(
 
 def with_gap(levels: SensorLevels, from_s: float, to_s: float, sensors: GroupArray) -> SensorLevels:
     """Return the levels when nothing is known of sensors (indices) between two times [s]."""
-    return replace(levels, gaps=(*levels.gaps, (from_s, to_s, tuple(sensors.tolist())))[-GAPS_KEPT:])
+    return replace(levels, gaps=_latest((*levels.gaps, (from_s, to_s, tuple(sensors.tolist())))))
+
+
+def _latest(gaps: Gaps) -> Gaps:
+    """Return the latest gaps, and of those before them what begins at the beginning: it may end in a long history."""
+    return (*(gap for gap in gaps[:-GAPS_KEPT] if gap[0] < BEGINNING_S / 2), *gaps[-GAPS_KEPT:])
 
 
 def gone_on(before: SensorLevels, now: SensorLevels, since_s: float) -> SensorLevels:
@@ -319,7 +326,7 @@ def _judged(
             away_s.setdefault(index, _wrong_since_s(jumps, index, wrong_k - off_k, levels.left[index].at_s))
     kept, righted = max(CHANGES_KEPT, OF_EACH * len(shift_k)), tuple((at, seen.now_s, of) for at, of in again.items())
     found = replace(levels, shift_k=shift_k, uncertainty_k=uncertainty_k, changes=tuple(changes[-kept:]))
-    gaps = (*levels.gaps, *righted)[-GAPS_KEPT:] if righted else levels.gaps
+    gaps = _latest((*levels.gaps, *righted)) if righted else levels.gaps
     return replace(found, jumps=tuple(jumps[-kept:]), gaps=gaps, away_s=MappingProxyType(away_s)), counted
 
 

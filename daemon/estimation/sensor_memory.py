@@ -25,7 +25,7 @@ from drivers.clock import Clock
 from models.control.reference_records import LabelOrigin, ReferenceDocument, SensorsSinceReference
 from models.json_values import plain
 from models.records import FloatArray, Reference
-from models.sensor_levels import Left, SensorLevels, first_levels, with_gap
+from models.sensor_levels import BEGINNING_S, Left, SensorLevels, first_levels, with_gap
 from models.thermal.estimation import UNSURE_UM
 from models.thermal.family import ThermalModel
 from models.thermal.mean_increment import (
@@ -281,7 +281,7 @@ class LevelMemory:
         was = kept.reads or self._reads
         self.anew = [index for index, i in enumerate(self._sensor_ids) if was.get(i) != self._reads[i]]
         levels, now = self._levels_of(kept), self._clock.now()
-        return with_gap(levels, -now.utc_ahead_s, now.monotonic_s, np.array(self.anew)) if self.anew else levels
+        return with_gap(levels, BEGINNING_S, now.monotonic_s, np.array(self.anew)) if self.anew else levels
 
     def _levels_of(self, kept: SensorLevelsDocument) -> SensorLevels:
         place = {i: index for index, i in enumerate(self._sensor_ids) if index not in self.anew}
@@ -304,8 +304,9 @@ class LevelMemory:
                 (c.utc_s - since_s, place[c.sensor_id], c.shift_k) for c in kept.changes if c.sensor_id in place
             ),
             gaps=tuple(
-                (g.from_utc_s - since_s, g.to_utc_s - since_s, tuple(place[i] for i in g.sensor_ids if i in place))
+                (g.from_utc_s - since_s, g.to_utc_s - since_s, of)
                 for g in kept.gaps
+                if (of := tuple(place[i] for i in g.sensor_ids if i in place))
             ),
             away_s=MappingProxyType({place[i]: at - since_s for i, at in kept.away_utc_s.items() if i in place}),
             jumps=tuple((j.utc_s - since_s, place[j.sensor_id], j.jump_k) for j in kept.jumps if j.sensor_id in place),

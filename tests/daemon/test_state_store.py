@@ -24,6 +24,7 @@ from daemon.state_store.documents import (
 from daemon.state_store.store import FORMAT_VERSION, KEYS, DocumentError, StateStore, document_json, from_json, to_json
 from models.control.reference_records import CncSeen, ReferenceDocument, ReferenceState, ToolOrigin
 from models.records import FloatArray, Instant
+from models.sensor_levels import GAPS_KEPT, unshifted, with_gap
 
 SPEED = {"key": [1.0, 9e3, 1.8e3, 2.0, 0.0, 1.0, -1.0], "programmed_rpm": 9e3, "commanded_rpm": 10175.1, "moved": True}
 DOCUMENTS = [
@@ -220,6 +221,24 @@ def test_without_the_levels_of_sensors_no_reference_counts(history, store):
     memory = LevelMemory(history, {4: "one"}, HandClock())
     ((from_s, _, sensors),) = memory.restored().gaps
     assert from_s <= -EPOCH_S and sensors == (0,), "nor does anything that the history holds of them"
+
+
+def test_a_sensor_that_reads_something_else_has_no_past_however_often_others_stand_and_whatever_the_clock(
+    history, store
+):
+    clock = HandClock()
+    clock.calendar_s = 0.0  # a computer without a battery begins in 1970
+    before = LevelMemory(history, {4: "one", 5: "five"}, clock)
+    before.keep(before.restored(), before.units)
+    memory = LevelMemory(history, {4: "another", 5: "five"}, clock)
+    levels = memory.restored()
+    for at_s in range(2 * GAPS_KEPT):
+        levels = with_gap(levels, float(at_s), at_s + 0.5, np.array([1]))
+    clock.calendar_s = EPOCH_S  # the computer is told the time
+    memory.keep(levels, memory.units)
+    kept = LevelMemory(history, {4: "another", 5: "five"}, clock).restored()
+    assert np.isnan(unshifted(kept, -1e9, np.array([20.0, 21.0]))).tolist() == [True, False]
+    assert len(kept.gaps) == GAPS_KEPT + 1
 
 
 def test_a_document_without_a_checksum_is_one_of_a_version_before(history, store):
