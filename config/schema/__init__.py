@@ -84,6 +84,11 @@ class Configuration(Section):
             raise KeyProblems(problems)
         return self
 
+    @property
+    def reads(self) -> dict[int, str]:
+        """What each sensor reads, by its ID, and of which machine: what a history holds of another is no past of it."""
+        return {i: read + " of " + self.machine for i, read in self.temperatures.reads.items()}
+
     def _displacement_wires(self) -> Iterator[tuple[KeyPath, str]]:
         """Yield which channels belong to no axis, and which sources of displacements take a port that is taken."""
         if (displacements := self.displacements) is None:

@@ -97,8 +97,7 @@ class ThermalTask:
         self._next: ModelInUse | None = None  # waits for an estimate to go on from, or a reference
         self._follows: tuple[str, FloatArray] | None = None  # see ThermalErrorEstimate
         self._since = SinceReference(self._sensor_ids, self._labels)
-        reads = {i: read + " of " + configuration.machine for i, read in temperatures.reads.items()}
-        self._levels = LevelMemory(history, reads, clock)
+        self._levels = LevelMemory(history, configuration.reads, clock)
         self._cleansing.levels, self._since.excluded = self._levels.restored(), self._levels.excluded_before()
         self._cleansing.units.recall(self._levels.units)
         self._cleansing.memory.recall(self._levels.inputs)

@@ -25,6 +25,7 @@ from daemon.model_release.past_recordings import (
     commissioned_um_per_unit,
     minutes_of_history,
     used_channels,
+    what_is_left_out,
 )
 from models.errors import RefusedInputError
 from models.recordings.dataset import DatasetError
@@ -60,7 +61,10 @@ class RecordingTable:
         )
         self._first = next(self._minutes, None)
         if self._first is None:
-            raise DatasetError("no displacements were measured in that time; a recording needs them, choose another")
+            raise DatasetError(
+                "no displacements were measured in that time; a recording needs them, choose another"
+                + what_is_left_out(reader, export.from_s)
+            )
         names = ["utc_s", "spindle_speed_rpm", *(f"t{i}" for i in configuration.temperatures.sensor_ids)]
         names += [*configuration.cnc.axis_positions, *(f"{channel}_um" for channel in self._channels)]
         self.columns = tuple(TableColumn(name=name, type=TableType.NUMBER) for name in names)

@@ -1,9 +1,12 @@
 """What a thermal model must fulfil before it is followed."""
 
+from collections.abc import Mapping
+from hashlib import sha256
+
 from config.records.release_record import ReleaseRecord
 from config.schema import Configuration
 from models.thermal.family import ThermalModel
-from models.thermal.model import MACHINE
+from models.thermal.model import MACHINE, READS
 
 
 def channels_in_use(configuration: Configuration) -> dict[str, float]:
@@ -51,6 +54,21 @@ def inputs_inhibit(record: ReleaseRecord | None, configuration: Configuration) -
         f"{', '.join(other[:8])} read something else than when it was released (see temperatures); where they still "
         "measure what it was trained on, release it again"
     )
+
+
+def reads_in_short(model: ThermalModel, reads: Mapping[int, str]) -> str:
+    """Return in one word what a model's sensors read; `reads`: of each sensor, by its ID."""
+    return sha256(" ".join(reads.get(each, "") for each in model.sensor_ids).encode()).hexdigest()[:16]
+
+
+def inputs_since_training(model: ThermalModel, active: ReleaseRecord | None, configuration: Configuration) -> str:
+    """Return that a model's sensors read something else than in its training, or than the active one's did."""
+    then = model.hyper_parameters.get(READS)
+    if then is None:  # nobody wrote it down: it may be as old as the active model
+        return inputs_inhibit(active, configuration)
+    if then == reads_in_short(model, configuration.reads):
+        return ""
+    return "its sensors read something else than when it was trained (see temperatures); a person must release it"
 
 
 def unfit(model: ThermalModel, configuration: Configuration) -> str:

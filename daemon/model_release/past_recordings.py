@@ -6,6 +6,8 @@ Where that is unknown, or a FANUC or LinuxCNC applies a slope, the minute has no
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +21,7 @@ from daemon.state_store.store import KEYS
 from drivers.guard.sloped_axes import SlopedAxis, added_um, sloped_axes
 from models.recordings.dataset import DatasetError, Recording
 from models.records import FloatArray
+from models.sensor_levels import BEGINNING_S
 from models.thermal.features import BoolArray
 
 MINUTE_S = 60.0
@@ -32,8 +35,6 @@ LONGEST_GAP_MIN = 10.0
 """After a longer stretch without displacements a new recording begins."""
 
 
-BEGINNING_UTC_S = 1e9
-"""Of a sensor that reads something else, all of the past is another's: no history is so old [s]."""
 NAME = "history from minute "
 """A recording's name begins so; the number of its first minute since 1970 follows."""
 
@@ -97,7 +98,6 @@ def recordings_from_history(
             "displacements, or train from recordings with `toolpoint thermal train`"
         )
     sensor_ids = configuration.temperatures.sensor_ids
-    from_utc_s = max(from_utc_s, _as_read_now_since_utc_s(reader))
     pieces = list(minutes_of_history(configuration, reader, channels, um_per_unit, from_utc_s, to_utc_s))
     axes = tuple(configuration.cnc.axis_positions) if positions else ()
     runs = list(_runs(pieces, sensor_ids, tuple(channels), axes))
@@ -107,14 +107,32 @@ def recordings_from_history(
         raise DatasetError(
             f"the history has no {LEAST_MIN} minutes in a row with displacements of {', '.join(channels)}, "
             f"{longest} at most; leave the sensors in place for longer{_why_unknown(configuration, channels)}"
+            f"{what_is_left_out(reader, from_utc_s)}"
         )
     return found
 
 
 def _as_read_now_since_utc_s(reader: HistoryReader) -> float:
     """Return since when the configuration reads under every ID the sensor that it reads now [s]."""
-    gaps = (reader.get_state(KEYS[SensorLevelsDocument]) or {}).get("gaps", ())
-    return max((gap["to_utc_s"] for gap in gaps if gap["from_utc_s"] < BEGINNING_UTC_S), default=-np.inf)
+    gaps = _levels(reader).get("gaps", ())
+    return max((gap["to_utc_s"] for gap in gaps if gap["from_utc_s"] < BEGINNING_S / 2), default=-np.inf)
+
+
+def what_is_left_out(reader: HistoryReader, from_utc_s: float) -> str:
+    """Return since when there is something to train on, '' where that is as early as it is asked for [s]."""
+    if (since_s := _as_read_now_since_utc_s(reader)) <= from_utc_s:
+        return ""
+    since = datetime.fromtimestamp(since_s, UTC).isoformat(sep=" ", timespec="minutes")
+    return f"; what is older than {since} is left out, because the configuration changed what sensors read"
+
+
+def read_of_history(reader: HistoryReader) -> dict[int, str]:
+    """Return what the daemon that wrote the history last read of each sensor, by its ID; empty: it did not say."""
+    return {int(sensor_id): read for sensor_id, read in _levels(reader).get("reads", {}).items()}
+
+
+def _levels(reader: HistoryReader) -> dict[str, Any]:
+    return reader.get_state(KEYS[SensorLevelsDocument]) or {}
 
 
 def _why_unknown(configuration: Configuration, channels: Mapping[str, str]) -> str:
@@ -143,11 +161,15 @@ def minutes_of_history(
     *,
     temperatures: bool = True,
 ) -> Iterator[Minutes]:
-    """Yield one-minute means, piece by piece, as far as displacements were measured."""
+    """Yield one-minute means, piece by piece, as far as displacements were measured.
+
+    With temperatures nothing of before the configuration reads under every ID what it reads now.
+    """
     extent = reader.extent("displacements")
     if extent is None:
         return
-    start_s = max(from_utc_s, extent[0]) // MINUTE_S * MINUTE_S
+    ours_s = _as_read_now_since_utc_s(reader) if temperatures else -np.inf
+    start_s = max(from_utc_s, extent[0], ours_s) // MINUTE_S * MINUTE_S
     end_s = min(to_utc_s, extent[1] + MINUTE_S)
     while start_s < end_s:
         stop_s = min(start_s + WINDOW_S, end_s)

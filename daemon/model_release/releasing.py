@@ -16,7 +16,13 @@ from config.signing import SigningError, TrustedKeys
 from config.signing_key import SigningKey
 from daemon.model_release.active import proposals_folder
 from daemon.model_release.file_access import account_of_daemon, how_it_could_change
-from daemon.model_release.gate import channels_in_use, inputs_inhibit, inputs_now, machine_inhibit
+from daemon.model_release.gate import (
+    channels_in_use,
+    inputs_inhibit,
+    inputs_now,
+    inputs_since_training,
+    machine_inhibit,
+)
 from daemon.model_release.loading import Named, model_from_text
 from daemon.model_release.release_checks import gate_inhibit, policy_inhibit
 from daemon.model_release.repository import ReleaseError, ReleaseRepository
@@ -117,7 +123,8 @@ def release(
         if by_policy:
             proposed, _ = _checked(configuration, content, str(proposal))
             before = _checked_release(configuration, repository, active)
-            if inhibit := policy_inhibit(proposed, before, configuration):
+            since = inputs_since_training(proposed, active, configuration)
+            if inhibit := since or policy_inhibit(proposed, before, configuration):
                 raise ReleaseError(f"{proposal}: {inhibit}")
             checks.append("its bands are not wider than the active model's")
         record = _record(

@@ -10,10 +10,12 @@ from config.schema import Configuration
 from config.schema.compensation import RetrainingConfig
 from daemon.history.reader import HistoryReader
 from daemon.model_release.active import proposals_folder
-from daemon.model_release.past_recordings import commissioned_um_per_unit, recordings_from_history
+from daemon.model_release.gate import reads_in_short
+from daemon.model_release.past_recordings import commissioned_um_per_unit, read_of_history, recordings_from_history
 from daemon.model_release.repository import READABLE_FILE, READABLE_FOLDER
 from models.json_values import finite_or_none
 from models.thermal.family import ThermalModel
+from models.thermal.model import READS
 from models.thermal.training.train_family import train_family
 
 DAY_S = 86400.0
@@ -24,6 +26,7 @@ def propose_from_history(configuration: Configuration, retraining: RetrainingCon
     um_per_unit = commissioned_um_per_unit(configuration)
     now_s = time.time()
     with HistoryReader(configuration.history.path) as reader:
+        read = read_of_history(reader)
         recordings = recordings_from_history(
             configuration, reader, um_per_unit, from_utc_s=now_s - DAY_S * retraining.days, to_utc_s=now_s
         )
@@ -34,6 +37,8 @@ def propose_from_history(configuration: Configuration, retraining: RetrainingCon
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         machine=configuration.machine,
     )
+    if read:
+        trained.model.hyper_parameters[READS] = reads_in_short(trained.model, read)
     path = propose(configuration, trained.model)
     return {
         "path": str(path),

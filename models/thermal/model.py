@@ -23,6 +23,8 @@ CHANNEL_SCORES = "held_out_relative_rmse_by_channel"
 """Hyper-parameter: RMSE with / without the model on what was left out, of each channel in the model's order."""
 MACHINE = "machine"
 """Hyper-parameter: name of the machine whose recordings it was trained on, where they name one alone."""
+READS = "reads"
+"""Hyper-parameter: what its sensors read when the history was written that it was trained on, if that is known."""
 HyperParameters = dict[str, float | int | str | bool | list[float]]
 
 

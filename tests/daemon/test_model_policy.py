@@ -9,18 +9,21 @@ import numpy as np
 import pytest
 from control_rig import SENSOR_IDS
 from model_folder import configured, open_folder, proposal
+from rewired import EXCHANGED, rewired
 from small_model import model
 
 from config.files import sha256_of
 from config.records.release_record import ReleaseRecord
 from config.schema.compensation import ReleaseConfig
 from daemon.model_release.file_access import Account
+from daemon.model_release.gate import reads_in_short
 from daemon.model_release.loading import load_released
 from daemon.model_release.releasing import proposals, release, release_by_policy, repository_of
 from daemon.model_release.repository import ReleaseError
 from daemon.model_release.retraining import propose
 from models.recordings.dataset import Recording
 from models.thermal.linear import LinearModel
+from models.thermal.model import READS
 from models.thermal.training.train_family import train_family
 
 STRANGER = Account(user_id=54321)
@@ -95,6 +98,26 @@ def test_the_policy_takes_the_newest_that_is_not_worse(folder):
     assert record is not None and record.model_id == "ridge-2" and record.note == "by policy"
     assert "its bands are not wider than the active model's" in record.checks
     assert release_by_policy(configuration, person="policy") is None, "what was released once is not proposed again"
+
+
+def test_the_policy_releases_no_model_whose_sensors_read_something_else_since_its_training(folder):
+    """What was proposed before two IDs were exchanged in the configuration is a person's to release."""
+    before = configured(folder, release=ReleaseConfig(automatic=True))
+    release(before, proposal(folder, model("ridge-1"), "1.json"), person="anna")
+    proposal(folder, model("ridge-2", 1.5), "2.json")
+    after = rewired(before, EXCHANGED)
+    assert release_by_policy(after, person="policy") is None
+
+    trained = model("ridge-3", 1.5)
+    for name, read in (("3.json", before), ("4.json", after)):
+        told = trained.hyper_parameters | {READS: reads_in_short(trained, read.reads)}
+        proposal(folder, replace(trained, model_id=f"ridge-{name[0]}", hyper_parameters=told), name)
+    record = release_by_policy(after, person="policy")
+    assert record is not None and record.model_id == "ridge-4"
+    (folder / "state/proposals/2.json").unlink()  # nobody wrote down what it read, and the active model reads the same
+    assert release_by_policy(after, person="policy") is None
+    with pytest.raises(ReleaseError, match="than when it was trained"):
+        release(after, folder / "state/proposals/3.json", person="policy", by_policy=True)
 
 
 def test_the_policy_is_off_by_default(folder):

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import time
 from pathlib import Path
+from typing import Any
 
 import history_records as make
 import numpy as np
@@ -18,6 +19,7 @@ from rewired import EXCHANGED, rewired
 
 from config.loader import load_configuration
 from config.schema import Configuration
+from config.schema.compensation import RetrainingConfig
 from config.schema.service import HistoryConfig
 from daemon.cli import main
 from daemon.estimation.sensor_memory import LevelMemory
@@ -25,13 +27,17 @@ from daemon.history.layout import MachineLayout
 from daemon.history.reader import HistoryReader
 from daemon.history.writer import HistoryWriter
 from daemon.housekeeping.jobs import RetrainingJob
+from daemon.model_release.exporting import Export, RecordingTable
+from daemon.model_release.gate import reads_in_short
 from daemon.model_release.past_recordings import commissioned_um_per_unit, recordings_from_history
+from daemon.model_release.retraining import propose_from_history
 from daemon.monitor.web.downloads import EXPORTER
 from drivers.clock import SystemClock
 from drivers.files.recording_csv import read_recording
 from models.recordings.dataset import DatasetError
 from models.thermal.family import model_from_json
 from models.thermal.features import lag_table
+from models.thermal.model import READS
 
 CYCLE_MIN = 180
 CYCLES = 5
@@ -119,15 +125,29 @@ def test_nothing_is_trained_on_of_before_the_configuration_reads_what_it_reads_n
     _, configuration, begin_s = machine
     store = tmp_path / "history.sqlite"
     shutil.copy(configuration.history.path, store)
-    edited = rewired(configuration.model_copy(update={"history": HistoryConfig(path=store)}), EXCHANGED)
+    configuration = configuration.model_copy(update={"history": HistoryConfig(path=store)})
+    edited, made = rewired(configuration, EXCHANGED), dict[str, Any]()
     for each in (configuration, edited):
-        history = HistoryWriter(store, clock=SystemClock(), machine=MachineLayout.from_configuration(each))
-        memory = LevelMemory(history, each.temperatures.reads, SystemClock())
-        memory.keep(memory.restored(), memory.units)
-        history.start()
-        history.close()
-    with HistoryReader(store) as reader, pytest.raises(DatasetError, match="no 120 minutes in a row"):
-        recordings_from_history(edited, reader, None, from_utc_s=begin_s - 1e5, to_utc_s=begin_s + 1e5)
+        started(each)
+        made = made or propose_from_history(each, RetrainingConfig(model="ridge"))
+    model = model_from_json(Path(made["path"]).read_text("utf-8"), made["path"])
+    assert model.hyper_parameters[READS] == reads_in_short(model, configuration.reads)
+    left_out = r".*; what is older than 20.* is left out"
+    with HistoryReader(store) as reader:
+        with pytest.raises(DatasetError, match="no 120 minutes in a row" + left_out):
+            recordings_from_history(edited, reader, None, from_utc_s=begin_s - 1e5, to_utc_s=begin_s + 1e5)
+        with pytest.raises(DatasetError, match="no displacements were measured" + left_out):
+            RecordingTable(edited, reader, Export(what="recording", format="csv", from_s=begin_s, to_s=begin_s + 1e5))
+
+
+def started(configuration: Configuration) -> None:
+    """Leave in the store what a start of the daemon with this configuration leaves of the sensors' levels."""
+    layout, clock = MachineLayout.from_configuration(configuration), SystemClock()
+    history = HistoryWriter(configuration.history.path, clock=clock, machine=layout)
+    memory = LevelMemory(history, configuration.reads, clock)
+    memory.keep(memory.restored(), memory.units)
+    history.start()
+    history.close()
 
 
 async def test_the_job_trains_in_a_process_of_its_own_when_it_is_due(
