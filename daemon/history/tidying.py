@@ -112,12 +112,11 @@ class Housekeeping:
         believed_s = now_utc_s - ahead_h * 3600.0
         while await history.submit(partial(tidy, config=config, now_utc_s=believed_s, report=report, held=held)):
             pass
-        if report.untaken:
-            self._untaken += report.untaken
-            if not 0.0 <= now_utc_s - self._lost_utc_s < LOST_SAID_S:
-                self._lost, self._lost_utc_s = _untaken_in_words(self._untaken), now_utc_s
-                history.event("sinks", self._lost, "daemon")
-                self._untaken.clear()
+        self._untaken += report.untaken
+        if self._untaken and not 0.0 <= now_utc_s - self._lost_utc_s < LOST_SAID_S:
+            self._lost, self._lost_utc_s = _untaken_in_words(self._untaken), now_utc_s
+            history.event("sinks", self._lost, "daemon")
+            self._untaken.clear()
         if 0.0 <= now_utc_s - self._lost_utc_s < LOST_SHOWN_S:
             problem = problem or self._lost
         return problem

@@ -156,7 +156,7 @@ async def test_what_a_sink_misses_is_said_once_a_day_and_shown_while_it_lasts(tm
     config = HistoryConfig(keep_temperatures_days=1.0, keep_for_sinks_days=0.5, pack_after_s=3e7)
     writer = writer_of(store, EPOCH_S, sinks=("plant",))
     try:
-        for hours in range(0, 96, 6):  # the daemon runs on, and the sink is away
+        for hours in range(0, 102, 6):  # the daemon runs on, and the sink is away
             writer._clock.utc_s = EPOCH_S + hours * 3600.0
             hour(writer, writer._clock.utc_s)
             await writer.flushed()
@@ -167,12 +167,16 @@ async def test_what_a_sink_misses_is_said_once_a_day_and_shown_while_it_lasts(tm
         with HistoryReader(store) as reader:
             said = [event.text for event in reader.events(0.0, 4e9) if event.kind == "sinks"]
         assert len(said) == 3 and "(48 temperatures)" in said[1], said
-        take(store, Taker())
-        for hours in range(96, 126, 6):
+        take(store, taker := Taker())
+        for hours in range(102, 156, 6):
             writer._clock.utc_s = EPOCH_S + hours * 3600.0
             writer.event("test", "still here")
             await writer.flushed()
             await writer.request_housekeeping(config)
+        with HistoryReader(store) as reader:
+            said = [event.text for event in reader.events(0.0, 4e9) if event.kind == "sinks"]
+        missed = sum(int(text.split("(")[1].split()[0]) for text in said)
+        assert missed + len(taker.rows["temperatures"]) == 17 * 12, "what it missed last is said, too"
         assert writer.housekeeping.problem == ""
     finally:
         await asyncio.to_thread(writer.close)
