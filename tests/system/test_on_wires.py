@@ -47,6 +47,7 @@ def wires(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Wires]:
         of_models("release", str(first), "--note", "first", folder=folder)
 
     with on_wires(folder, speed=60.0, change=change) as started:
+        started.switch_on()
         yield started
 
 
@@ -69,7 +70,7 @@ def of_models(*arguments: str, folder: Path) -> Any:
 
 def test_killed_at_any_moment_it_loses_nothing_and_goes_on(wires: Wires) -> None:
     moments = random.Random(7)
-    status = wires.switch_on()
+    status = wires.status()
     assert status["model"]["release"] == 1 and "uid" in status["model"]["released_by"]
     assert "allow_writable_model_directory" in status["model"]["warning"]
     assert status["output"]["writable_model_directory"] is True
@@ -217,6 +218,8 @@ def rows_of(folder: Path, path: Path) -> list[list[str]]:
 
 
 def test_at_its_end_it_leaves_no_socket_and_no_write_unsettled(wires: Wires) -> None:
+    told("enable", "z", folder=wires.directory)
+    assert toolpoint("enable", "w", folder=wires.directory).exit_code == 1
     daemon = wires.running.daemon
     daemon.send_signal(signal.SIGTERM)
     assert daemon.wait(30) == 0
