@@ -52,7 +52,7 @@ def inputs_inhibit(record: ReleaseRecord | None, configuration: Configuration) -
         return ""
     return (
         f"{', '.join(other[:8])} read something else than when it was released (see temperatures); where they still "
-        "measure what it was trained on, release it again"
+        "measure what it was trained on, release it again from its file"
     )
 
 
@@ -61,14 +61,12 @@ def reads_in_short(model: ThermalModel, reads: Mapping[int, str]) -> str:
     return sha256(" ".join(reads.get(each, "") for each in model.sensor_ids).encode()).hexdigest()[:16]
 
 
-def inputs_since_training(model: ThermalModel, active: ReleaseRecord | None, configuration: Configuration) -> str:
-    """Return that a model's sensors read something else than in its training, or than the active one's did."""
-    then = model.hyper_parameters.get(READS)
-    if then is None:  # nobody wrote it down: it may be as old as the active model
-        return inputs_inhibit(active, configuration)
-    if then == reads_in_short(model, configuration.reads):
+def read_otherwise(model: ThermalModel, configuration: Configuration) -> str:
+    """Return that a model's sensors read something else than in its training, '' when not, or when nobody knows."""
+    now = reads_in_short(model, configuration.reads)
+    if model.hyper_parameters.get(READS, now) == now:
         return ""
-    return "its sensors read something else than when it was trained (see temperatures); a person must release it"
+    return "its sensors read something else than when it was trained (see temperatures)"
 
 
 def unfit(model: ThermalModel, configuration: Configuration) -> str:

@@ -108,7 +108,7 @@ def load_checked(
     try:
         found = _loaded(wanted, path, configuration, account, read)
         inhibit = "" if found.model is None else inputs_inhibit(found.record, configuration)
-        return replace(found, model=None, inhibit=f"{path}: {inhibit}") if inhibit else found
+        return replace(found, model=None, inhibit=f"{os.path.realpath(path)}: {inhibit}") if inhibit else found
     except OSError as error:
         return LoadedModel(model=None, inhibit=f"{path}: the {wanted.kind} cannot be read ({error.strerror})")
 

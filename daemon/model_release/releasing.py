@@ -20,13 +20,14 @@ from daemon.model_release.gate import (
     channels_in_use,
     inputs_inhibit,
     inputs_now,
-    inputs_since_training,
     machine_inhibit,
+    read_otherwise,
 )
 from daemon.model_release.loading import Named, model_from_text
 from daemon.model_release.release_checks import gate_inhibit, policy_inhibit
 from daemon.model_release.repository import ReleaseError, ReleaseRepository
 from models.thermal.family import ThermalModel
+from models.thermal.model import READS
 
 LARGEST_MODEL = 64 * 2**20
 """No model comes near this [byte]."""
@@ -123,8 +124,10 @@ def release(
         if by_policy:
             proposed, _ = _checked(configuration, content, str(proposal))
             before = _checked_release(configuration, repository, active)
-            since = inputs_since_training(proposed, active, configuration)
-            if inhibit := since or policy_inhibit(proposed, before, configuration):
+            inhibit = read_otherwise(proposed, configuration)
+            if READS not in proposed.hyper_parameters:  # then it may be as old as the active model
+                inhibit = inputs_inhibit(active, configuration)
+            if inhibit := inhibit or policy_inhibit(proposed, before, configuration):
                 raise ReleaseError(f"{proposal}: {inhibit}")
             checks.append("its bands are not wider than the active model's")
         record = _record(
@@ -187,7 +190,7 @@ def rollback(
         model, checks = kind.checked(configuration, content, f"release {number}")
         _refuse_another_machine(kind, model, configuration, f"release {number}", found.trained_on)
         if inhibit := inputs_inhibit(found, configuration):
-            raise ReleaseError(f"release {number}: {inhibit}")
+            raise ReleaseError(f"release {number}: {inhibit} in {repository.releases}")
         record = _record(
             repository, "rollback", model, content, person=person, source=f"release {number}", note=note, checks=checks
         )
@@ -269,12 +272,14 @@ def _checked(configuration: Configuration, content: bytes, source: str) -> tuple
         raise ReleaseError(inhibit)
     if inhibit := gate_inhibit(model, configuration):
         raise ReleaseError(f"{source}: {inhibit}")
+    why = read_otherwise(model, configuration)
     bands = (f"{c} {model.band_um[model.channels.index(c)]:.3g} um" for c in channels_in_use(configuration))
     return model, [
         "the checksum fits the content",
         f"{len(model.test_vectors)} test vectors are met",
         f"sensors and channels are this machine's ({len(model.sensor_ids)} sensors)",
         *_sensors_by_name(configuration, model),
+        *([f"{why}: the person who releases it answers for that"] if why else []),
         f"prediction bands are known and narrow enough: {', '.join(bands)}",
         *_watched(model),
     ]

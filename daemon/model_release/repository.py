@@ -99,7 +99,7 @@ class ReleaseRepository:
 
     def add(self, record: ReleaseRecord, content: bytes, key: SigningKey | None = None) -> None:
         """Put a release into the folder, signed where there is a key, and make it the active one."""
-        unsaid = None if record.trained_on else {"trained_on"}  # versions before know nothing of it
+        unsaid = {key for key in ("trained_on", "reads") if not getattr(record, key)}  # unknown to versions before
         text = record.model_dump_json(indent=2, exclude=unsaid).encode() + b"\n"
         folder = self.releases / f"{record.number:04d}"
         try:

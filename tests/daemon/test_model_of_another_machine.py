@@ -73,7 +73,7 @@ def test_a_model_whose_sensors_read_something_else_since_its_release_is_released
     after = rewired(before, EXCHANGED)
     found = load_released(after, STRANGER)
     assert found.model is None and "sensor 1, sensor 2 read something else than when it was released" in found.inhibit
-    release(after, first, person="anna")
+    release(after, Path(found.inhibit.partition(":")[0]), person="anna")
     assert load_released(after, STRANGER).model is not None and load_released(before, STRANGER).model is None
     with pytest.raises(ReleaseError, match="active already"):
         release(after, first, person="anna")
@@ -89,6 +89,9 @@ def test_a_release_of_a_version_that_did_not_say_what_its_sensors_read_counts(fo
     path = folder / "models/releases/0001/release.json"
     path.write_text(json.dumps({k: v for k, v in json.loads(path.read_text()).items() if k != "reads"}))
     assert load_released(rewired(before, EXCHANGED), STRANGER).model is not None
+    release(before, proposal(folder, model("other", band_um=1.0), "2.json"), person="anna")
+    rollback(before, person="anna", to=1)
+    assert "reads" not in json.loads((folder / "models/releases/0003/release.json").read_text()), "it can go back to it"
 
 
 @pytest.mark.parametrize(

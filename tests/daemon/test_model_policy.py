@@ -118,6 +118,8 @@ def test_the_policy_releases_no_model_whose_sensors_read_something_else_since_it
     assert release_by_policy(after, person="policy") is None
     with pytest.raises(ReleaseError, match="than when it was trained"):
         release(after, folder / "state/proposals/3.json", person="policy", by_policy=True)
+    by_a_person = release(after, folder / "state/proposals/3.json", person="anna")
+    assert any("than when it was trained" in each and "answers for that" in each for each in by_a_person.checks)
 
 
 def test_the_policy_is_off_by_default(folder):
