@@ -22,8 +22,9 @@ ChainEntry = Annotated[int, Field(ge=1)] | Annotated[str, Field(pattern=RANGE_PA
 SAID = {"component", "part", "label", "open", "resolution", "min_degc", "max_degc"}
 """Keys of a sensor that change nothing of what it reads."""
 _LOG_IN = ("user_name", "password_file", "tls", "ca_certificate", "security")
-HOW: dict[str, Any] = dict.fromkeys(("timeout_s", "gap", "most_registers", "max_line_bytes", *_LOG_IN), True)
-HOW |= {"file": {"poll_period_s", "max_line_bytes"}}
+_WIRE = ("baud", "parity", "stop_bits", "framing", "timeout_s", "gap", "most_registers", "max_line_bytes")
+HOW: dict[str, Any] = dict.fromkeys((*_WIRE, *_LOG_IN), True)
+HOW |= {"file": {"poll_period_s", "max_line_bytes", "overflow_tokens"}}
 """Keys of a connection that change nothing of what is read over it."""
 LONGEST_RANGE = 100_000
 LONGEST_CHAIN = 200

@@ -131,7 +131,11 @@ def test_what_a_sensor_is_called_is_not_what_it_reads(changes: dict[str, Any], a
 
 @pytest.mark.parametrize(
     ("changes", "anew"),
-    [({"timeout_s": 3.0, "gap": 9}, False), ({"host": "192.168.10.31"}, True), ({"unit_id": 4}, True)],
+    [
+        ({"timeout_s": 3.0, "gap": 9, "framing": "rtu", "baud": 19200, "parity": "even"}, False),
+        ({"host": "192.168.10.31"}, True),
+        ({"unit_id": 4}, True),
+    ],
 )
 def test_how_long_a_box_is_waited_for_is_not_what_it_reads(changes: dict[str, Any], anew: bool) -> None:
     sensors = [{"id": 9, "component": "bed", "address": 3}]
@@ -149,3 +153,19 @@ def test_two_lines_whose_ports_were_exchanged_read_each_others_sensors(tmp_path:
     lines = [line.model_copy(update={"port": port}) for line, port in zip(before.lines, ports, strict=True)]
     after = TemperaturesConfig(lines=lines, sensors=before.sensors, cleansing=before.cleansing)
     assert not set(before.reads.items()) & set(after.reads.items())
+
+
+@pytest.mark.parametrize(
+    ("changes", "anew"),
+    [({"overflow_tokens": ["OL"], "poll_period_s": 2.0}, False), ({"path": Path("/srv/another/*.csv")}, True)],
+)
+def test_how_a_logger_writes_that_it_has_no_value_is_not_what_it_reads(changes: dict[str, Any], anew: bool) -> None:
+    sensors = [{"id": 9, "component": "bed", "column": 2}]
+    files = [{"path": Path("/srv/logger/*.csv")} | more for more in ({}, changes)]
+    before, after = (
+        TemperaturesConfig.model_validate(
+            {"sources": [{"name": "logger", "driver": "csv", "csv": {"file": file, "sensors": sensors}}]}
+        ).reads
+        for file in files
+    )
+    assert (before != after) == anew
