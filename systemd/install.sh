@@ -71,11 +71,13 @@ if [ "$program_only" = no ]; then
     case $prefix in
         *[!A-Za-z0-9/._+-]*) die "the units cannot name $prefix; choose a folder of letters, digits and / . _ + -" ;;
     esac
-    for folder in "$prefix" "$("$python" -c 'import os, sys; print(os.path.realpath(sys.base_prefix))')"; do
-        case $root$folder in
-            //home/*|//root/*|//run/user/*|//tmp/*|//var/tmp/*) die "the service cannot look into $folder (ProtectHome, PrivateTmp); choose another folder with --prefix, or another Python with --python" ;;
-        esac
-    done
+    # Links are followed: /opt may be one into /home, and /home itself one.
+    hidden=$("$python" -c '
+import os, sys
+places = tuple(os.path.realpath(each) + "/" for each in ("/home", "/root", "/run/user", "/tmp", "/var/tmp"))
+print(*(each for each in (sys.argv[1], sys.base_prefix) if os.path.realpath(each).startswith(places)), sep=", ")
+' "$prefix")
+    [ "$root" != / ] || [ -z "$hidden" ] || die "the service cannot look into $hidden (ProtectHome, PrivateTmp); choose another folder with --prefix, or another Python with --python"
 fi
 
 extras=$(cat "$here/extras" 2> /dev/null || :)

@@ -214,6 +214,19 @@ def test_a_python_of_somebody_s_home_is_refused(tmp_path: Path) -> None:
     assert "--python" in done.stderr and not prefix.exists()
 
 
+def test_a_folder_that_a_link_leads_into_the_homes_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "opt").symlink_to("/home")
+    prefix = tmp_path / "opt/toolpoint-of-nobody"
+    own = tmp_path / "python3"  # it must not come so far as to install anything here
+    own.write_text(
+        f'#!/bin/sh\ncase "$*" in *venv*) exit 1 ;; *) exec {sys.executable} "$@" ;; esac\n', encoding="utf-8"
+    )
+    own.chmod(0o755)
+    done = install(bundle(tmp_path, "0.0.1"), prefix, "--python", str(own))
+    assert done.returncode == 1 and f"the service cannot look into {prefix}" in done.stderr
+    assert not prefix.exists()
+
+
 def test_the_installer_says_how_it_is_used() -> None:
     shown = subprocess.run(["sh", str(INSTALLER), "--help"], capture_output=True, text=True, check=False)
     assert shown.returncode == 0 and "--switch VERSION" in shown.stdout
