@@ -176,7 +176,7 @@ def _telescoped(old: dict[str, Any]) -> dict[str, Any]:
     layout = {"sensors": sensors, "lags_min": [], "speed_lags_min": []}
     solution = {
         "layout": layout,
-        "design": {"departures": False, "correlation_min": None},
+        "design": {"departures": False},
         "gain": [1.0] * sensors,
         "weights": [list(column) for column in zip(*old["coefficients_um_per_k"], strict=True)],
     }

@@ -50,9 +50,8 @@ class Design:
 
     departures: bool
     """Regress on temperatures minus their lags in place of the lags: another prior, the same space."""
-    correlation_min: float | None
-    """Correlation time of what the model does not explain [min]: rows are then weighed by generalised
-    least squares, each minus the share of its predecessor that persists. None: rows as they are."""
+    correlation_min: float | None = None
+    """What models of before 2026-11-27 may hold of how their rows were weighed [min]; read, and not used."""
 
 
 def design_columns(features: FloatArray, layout: Layout, design: Design) -> FloatArray:

@@ -3,6 +3,7 @@
 import asyncio
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -25,6 +26,8 @@ from models.recordings.dataset import Recording
 from models.records import CncMode, CncRun, CncSample, Reference, TemperatureCycle, ThermalErrorEstimate, Trace
 from models.thermal.estimation import Machine, OnlineReference
 from models.thermal.features import Layout
+from models.thermal.training.recipes import RECIPES
+from models.thermal.training.ridge_member import DEPARTURES, RidgeFamily
 from models.thermal.training.train_family import train_family
 
 MINUTES = 18 * 60
@@ -57,10 +60,10 @@ def day(minutes=MINUTES, seed=3, *, by_load=False):
 
 @pytest.fixture(scope="module")
 def model():
-    """Of a run of five hours: its longest lag is an hour, and a past of four hours fills it."""
-    made = trained(day(minutes=300, seed=1))
-    assert max(made.layout.lags_min) == PAST_MIN / 4.0
-    return made
+    """A ridge whose longest lag is an hour, whatever training would choose: a past of four hours fills it."""
+    lags_min = (2.0, 5.0, 10.0, 30.0, PAST_MIN / 4.0)
+    prepare = partial(RidgeFamily, design=DEPARTURES)
+    return trained(day(minutes=300, seed=1), replace(RECIPES["lags"], prepare=prepare, needed_lags_min=(lags_min, ())))
 
 
 @pytest.fixture(scope="module")

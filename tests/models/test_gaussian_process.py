@@ -116,7 +116,7 @@ def test_what_bends_follows_when_a_sensor_is_left_out(rows: Rows) -> None:
     directions, remaining = posterior.directions(most=100, least=1e-12)
     linear = Solution(
         layout=Layout(sensors=9, lags_min=(), speed_lags_min=()),
-        design=Design(departures=False, correlation_min=None),
+        design=Design(departures=False),
         gain=np.ones(9),
         weights=posterior.linear,
         directions=directions,

@@ -82,7 +82,7 @@ def test_a_lag_is_exact_for_a_ramp_whatever_the_sampling() -> None:
 def test_the_ridge_is_that_of_scikit_learn(recording: Recording) -> None:
     inputs = build_inputs([recording], sample_s=60.0)
     rows = inputs.trainable()
-    design = Design(departures=False, correlation_min=None)
+    design = Design(departures=False)
     problem = RidgeProblem(inputs, rows, np.zeros(inputs.rows, dtype=np.intp), design)
     found = problem.solve(frozenset(), [1e-3])[0].coefficients()
     spread = inputs.features.std(axis=0)
@@ -97,7 +97,7 @@ def test_leaving_sensors_out_is_a_fit_without_them(
 ) -> None:
     inputs = build_inputs([recording], sample_s=60.0)
     rows, fold = inputs.trainable(), np.zeros(inputs.rows, dtype=np.intp)
-    design = Design(departures=departures, correlation_min=60.0)
+    design = Design(departures=departures)
     solution = RidgeProblem(inputs, rows, fold, design).solve(frozenset(), [1e-2])[0]
     kept = [i for i in range(SENSORS) if i not in without]
     names = tuple(recording.temperature_names[i] for i in kept)

@@ -16,7 +16,7 @@ MINUTES, SENSORS = 73, 8
 
 
 def warm_up(seed: int) -> Recording:
-    """A short run from cold, too short for a ridge that only believes what outlasts an hour."""
+    """A short run from cold."""
     rng = np.random.default_rng(seed)
     time_min, level = np.arange(float(MINUTES)), rng.uniform(0.5, 1.0)
     heat = np.tile([level, level**2], (MINUTES, 1))
@@ -44,17 +44,6 @@ def runs() -> list[Recording]:
 @pytest.fixture(scope="module")
 def trained(runs: list[Recording]) -> FamilyTraining:
     return train_family(runs, "lags", sample_s=60.0, created="2026-01-01T00:00:00Z")
-
-
-def test_a_ridge_that_predicts_left_out_runs_much_worse_does_not_spoil_the_mean(trained: FamilyTraining) -> None:
-    scores = trained.hyper_parameters["left_out_relative_rmse"]
-    assert isinstance(scores, list)
-    tried = str(trained.hyper_parameters["tried"]).split(", ")
-    kept = str(trained.hyper_parameters["members"]).split(", ")
-    of = dict(zip(tried, scores, strict=True))
-    worst = max(of, key=lambda name: of[name])
-    assert of[worst] > 1.5 * min(scores) and worst not in kept
-    assert trained.trust.held_out_relative_rmse < 1.1 * min(scores)
 
 
 def test_the_model_has_the_members_alone(trained: FamilyTraining) -> None:

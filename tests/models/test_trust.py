@@ -9,10 +9,11 @@ from models.thermal.bias import BiasFilter
 from models.thermal.features import lag_table
 from models.thermal.solution import band_factor, leverage_and_size
 from models.thermal.training.domain import farthest_leverage, leverage_positions
-from models.thermal.training.families import DEFAULT_DESIGNS, MeanOfRidges, held_out_um
+from models.thermal.training.families import held_out_um
 from models.thermal.training.folds import cycles, few_folds_factor, inner_folds
 from models.thermal.training.inputs import build_inputs
 from models.thermal.training.probing import probed_residual_um
+from models.thermal.training.ridge_member import DEPARTURES, RidgeFamily
 from models.thermal.training.trust import (
     fit_bias_filter,
     half_width_um,
@@ -77,7 +78,7 @@ def test_a_useful_recording_passes_the_gate() -> None:
     inputs = build_inputs([warming()], sample_s=60.0)
     rows = inputs.trainable()
     fold, _ = inner_folds(inputs, rows)
-    trust = judge(inputs, rows, fold, MeanOfRidges(inputs, rows, fold, None, DEFAULT_DESIGNS))
+    trust = judge(inputs, rows, fold, RidgeFamily(inputs, rows, fold, None, DEPARTURES))
     assert trust.refused is None
     assert min(trust.forward_skill) > 0.0 and trust.held_out_relative_rmse < 0.5
     assert np.isfinite(trust.band_um).all()
@@ -87,7 +88,7 @@ def test_a_band_widens_in_proportion_to_the_distance_beyond_the_domain() -> None
     inputs = build_inputs([warming()], sample_s=60.0)
     rows = inputs.trainable()
     fold, _ = inner_folds(inputs, rows)
-    fit = MeanOfRidges(inputs, rows, fold, None, DEFAULT_DESIGNS).fit()
+    fit = RidgeFamily(inputs, rows, fold, None, DEPARTURES).fit()
     limit = farthest_leverage(inputs, rows, fit.solutions)
     points = leverage_positions(fit.solutions, inputs.features)
     change = inputs.features - inputs.features[0]
@@ -112,7 +113,7 @@ def test_a_machine_that_wanders_on_its_own_is_refused(seed: int) -> None:
     inputs = build_inputs([recording(np.cumsum(rng.normal(0.0, 0.05, rows_count)), degc, None)], sample_s=60.0)
     rows = inputs.trainable()
     fold, _ = inner_folds(inputs, rows)
-    assert judge(inputs, rows, fold, MeanOfRidges(inputs, rows, fold, None, DEFAULT_DESIGNS)).refused is not None
+    assert judge(inputs, rows, fold, RidgeFamily(inputs, rows, fold, None, DEPARTURES)).refused is not None
 
 
 def test_one_warm_up_alone_is_refused() -> None:
@@ -121,7 +122,7 @@ def test_one_warm_up_alone_is_refused() -> None:
     inputs = build_inputs([recording(20.0 * rise, 20.0 + 5.0 * rise[:, None], None)], sample_s=60.0)
     rows = inputs.trainable()
     fold, _ = inner_folds(inputs, rows)
-    refused = judge(inputs, rows, fold, MeanOfRidges(inputs, rows, fold, None, DEFAULT_DESIGNS)).refused
+    refused = judge(inputs, rows, fold, RidgeFamily(inputs, rows, fold, None, DEPARTURES)).refused
     assert refused is not None and "training saw 1 excursion of more than 30% of the span in 1 run;" in refused
     assert "record 2 more runs of about 4 h, each warming for half of the time and then cooling" in refused
 
@@ -152,7 +153,7 @@ def test_the_band_of_two_runs_tells_how_they_differ_and_not_how_their_cycles_do(
     rows = inputs.trainable() & (inputs.recording < 2)
     fold, kind = inner_folds(inputs, rows)
     assert kind == "cycle"
-    problem = MeanOfRidges(inputs, rows, fold, None, DEFAULT_DESIGNS)
+    problem = RidgeFamily(inputs, rows, fold, None, DEPARTURES)
     measured, estimated = held_out_um(inputs, inputs.recording == 2, problem.fit())
     assert (np.abs(measured[0] - estimated[0]) <= judge(inputs, rows, fold, problem).band_um).mean() > 0.85
 

@@ -21,7 +21,7 @@ def large_model(sensors: int) -> LinearModel:
     solutions = tuple(
         Solution(
             layout=layout,
-            design=Design(departures=departures, correlation_min=None),
+            design=Design(departures=departures),
             gain=rng.uniform(0.1, 1.0, columns),
             weights=rng.normal(0.0, 1e-2, (columns, 5)),
             directions=np.linalg.qr(rng.normal(size=(columns, DIRECTIONS)))[0].astype(np.float32),

@@ -70,7 +70,7 @@ def lagged_model(
         solutions=(
             Solution(
                 layout=layout,
-                design=Design(departures=False, correlation_min=None),
+                design=Design(departures=False),
                 gain=np.ones(layout.columns),
                 weights=weights,
                 directions=directions,

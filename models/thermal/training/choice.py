@@ -12,15 +12,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from models.recordings.dataset import DatasetError
-from models.thermal.features import BoolArray, Design, IntArray, Layout
+from models.thermal.features import BoolArray, IntArray, Layout
 from models.thermal.model import HyperParameters
 from models.thermal.training.families import (
-    CORRELATION_MIN,
     Fit,
     Prepare,
     Problem,
     fold_numbers,
-    ridge_family,
     ridge_fit,
 )
 from models.thermal.training.gaussian_member import GaussianMember, gaussian_fit, widened_piece
@@ -39,16 +37,10 @@ from models.thermal.training.left_out_errors import (
 )
 from models.thermal.training.linear_families import LassoProblem, PartialLeastSquaresProblem
 from models.thermal.training.mixing import even_weights, mean_weights
-from models.thermal.training.ridge_member import RidgeMember, joint_layout
+from models.thermal.training.ridge_member import DEPARTURES, LEVELS, RidgeFamily, RidgeMember, joint_layout
 from models.thermal.training.trust import independent_folds
 
-LEVELS = Design(departures=False, correlation_min=None)
-DESIGNS = {
-    "levels": Design(departures=True, correlation_min=None),
-    "persistent": Design(departures=False, correlation_min=CORRELATION_MIN),
-}
-"""The two ridges on each part of the lags: levels on departures from lags, generalised least squares on lags."""
-DEPARTURES = {"fast": False, "slow": True}
+ON_DEPARTURES = {"fast": False, "slow": True}
 """Whether the Gaussian process on a part of the lags regresses on departures from them, or on the lags."""
 LEAST_GAIN = 0.005
 """Less of the error is no difference between two families, whatever the standard error."""
@@ -64,7 +56,7 @@ BETTER_IN_BOTH = 0.8
 """Of two runs one family must leave less than this share of what another leaves, in each of them when only the other
 was trained on."""
 ON_TEMPERATURES: dict[str, Prepare] = {
-    "ridge": ridge_family,
+    "ridge": RidgeFamily,
     "pls": PartialLeastSquaresProblem,
     "lasso": LassoProblem,
     "increments": increments_without_drift,
@@ -182,21 +174,17 @@ class ChosenProblem:
         made = []
         for part, inputs in self._parts(speed=speed):
             if (part != "temperatures") is lagged:
-                designs = DESIGNS if lagged else DESIGNS | {"levels": LEVELS}
-                names = {_named(f"{part} {name}", speed): design for name, design in designs.items()}
-                made += [
-                    RidgeMember(name, inputs, self._rows, self._fold, self._probe_min, design)
-                    for name, design in names.items()
-                ]
+                name, design = _named(f"{part} levels", speed), DEPARTURES if lagged else LEVELS
+                made.append(RidgeMember(name, inputs, self._rows, self._fold, self._probe_min, design))
             del inputs  # before the next part is made: with hundreds of sensors each is tens of megabytes
         return made
 
     def _processes(self, *, speed: bool) -> list[GaussianMember]:
-        """Return the Gaussian processes on temperatures alone and on each part of the lags, these with speed or not."""
-        made = [self._process("gaussian temperatures", part_of(self._inputs, (), ()), departures=False)]
+        """Return the Gaussian processes on each part of the lags, with speed or not."""
+        made = []
         for part, inputs in self._parts(speed=speed):
-            if part in DEPARTURES:
-                made.append(self._process(_named(f"gaussian {part}", speed), inputs, departures=DEPARTURES[part]))
+            if part in ON_DEPARTURES:
+                made.append(self._process(_named(f"gaussian {part}", speed), inputs, departures=ON_DEPARTURES[part]))
             del inputs
         return made
 

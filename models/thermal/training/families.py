@@ -12,7 +12,7 @@ import numpy as np
 
 from models.recordings.dataset import DatasetError
 from models.records import FloatArray
-from models.thermal.features import BoolArray, Design, IntArray
+from models.thermal.features import BoolArray, IntArray
 from models.thermal.gaussian import Mixture
 from models.thermal.model import HyperParameters
 from models.thermal.solution import Solution, imputed_mean
@@ -20,16 +20,6 @@ from models.thermal.training.evaluation import ResidualMetrics, moving
 from models.thermal.training.folds import fold_segments
 from models.thermal.training.inputs import Inputs
 from models.thermal.training.probing import probed_residual_um
-from models.thermal.training.ridge import PENALTIES, RidgeProblem
-
-CORRELATION_MIN = 60.0
-"""Correlation time of the second ridge's residuals [min]; 20 to 90 min are equally good inside training cycles."""
-DEFAULT_DESIGNS = (
-    Design(departures=True, correlation_min=None),
-    Design(departures=False, correlation_min=CORRELATION_MIN),
-)
-"""The two ridges of the default model: levels on departures from the lags, and generalised least squares on lags."""
-
 
 MOST_AT_ONCE = 256
 """Rows that are estimated at a time: with hundreds of sensors all rows together would take hundreds of megabytes."""
@@ -161,27 +151,15 @@ def chosen(
     candidates: Callable[[int], Sequence[Fit]],
 ) -> int:
     """Return the index of the candidate that predicts left-out folds best; the middle one without two folds."""
-    return chosen_with_score(inputs, rows, fold, probe_min, candidates)[0]
-
-
-def chosen_with_score(
-    inputs: Inputs,
-    rows: BoolArray,
-    fold: IntArray,
-    probe_min: float | None,
-    candidates: Callable[[int], Sequence[Fit]],
-) -> tuple[int, float]:
-    """Return what `chosen` does, and what remains of the left-out error with it (NaN without two folds)."""
     numbers = fold_numbers(rows, fold)
     fits = {number: candidates(number) for number in numbers}
     if len(numbers) < 2:
-        return len(next(iter(fits.values()))) // 2 if fits else 0, float("nan")
+        return len(next(iter(fits.values()))) // 2 if fits else 0
     scores = [
         relative_rmse(inputs, rows, fold, {number: fits[number][index] for number in numbers}, probe_min)
         for index in range(len(fits[numbers[0]]))
     ]
-    best = int(np.nanargmin(scores)) if np.isfinite(scores).any() else len(scores) - 1
-    return best, scores[best]
+    return int(np.nanargmin(scores)) if np.isfinite(scores).any() else len(scores) - 1
 
 
 def ridge_fit(solutions: Sequence[Solution], without: tuple[int, ...] = ()) -> Fit:
@@ -201,52 +179,6 @@ MEMBER_SLACK = 0.02
 """... unless it leaves no more than this share of the error more: that is no difference."""
 
 
-class MeanOfRidges:
-    """The mean of ridges of one or more designs, one penalty per ridge shared by all channels.
-
-    A ridge is a member by what it leaves of the left-out error alone: one that predicts much worse than the best,
-    perhaps worse than nothing, would only spoil the mean.
-    """
-
-    def __init__(
-        self, inputs: Inputs, rows: BoolArray, fold: IntArray, probe_min: float | None, designs: Sequence[Design]
-    ) -> None:
-        problems = [RidgeProblem(inputs, rows, fold, design) for design in designs]
-        chosen = [self._choose(inputs, rows, fold, probe_min, problem) for problem in problems]
-        scores = [score for _, score in chosen]
-        kept = members(scores)
-        self._problems = [problems[index] for index in kept]
-        self._penalties = [chosen[index][0] for index in kept]
-        layout = inputs.layout
-        self.hyper_parameters: HyperParameters = {
-            "penalties": list(self._penalties),
-            "lags_min": list(layout.lags_min),
-            "speed_lags_min": list(layout.speed_lags_min),
-        }
-        if any(designs[index].correlation_min is not None for index in kept):
-            self.hyper_parameters["correlation_min"] = CORRELATION_MIN
-        if len(designs) > 1 and np.isfinite(scores).all():
-            self.hyper_parameters["members"] = [float(index + 1) for index in kept]
-            self.hyper_parameters["left_out_relative_rmse"] = scores
-
-    def _choose(
-        self, inputs: Inputs, rows: BoolArray, fold: IntArray, probe_min: float | None, problem: RidgeProblem
-    ) -> tuple[float, float]:
-        """Return the penalty of one ridge, and what remains of the left-out error with it."""
-
-        def candidates(number: int) -> list[Fit]:
-            """Return one fit per penalty without the fold."""
-            return [ridge_fit([solution]) for solution in problem.solve(frozenset({number}), PENALTIES)]
-
-        best, score = chosen_with_score(inputs, rows, fold, probe_min, candidates)
-        return PENALTIES[best], score
-
-    def fit(self, left_out: frozenset[int] = frozenset()) -> Fit:
-        """Return the fit on everything but some folds."""
-        pairs = zip(self._problems, self._penalties, strict=True)
-        return ridge_fit([problem.solve(left_out, [penalty])[0] for problem, penalty in pairs])
-
-
 def members(left_out_rmse: Sequence[float]) -> list[int]:
     """Return which ridges enter the mean.
 
@@ -259,11 +191,6 @@ def members(left_out_rmse: Sequence[float]) -> list[int]:
         return list(range(len(scores)))
     best = float(np.nanmin(scores))
     return [int(index) for index in np.flatnonzero(scores <= max(MEMBER_FACTOR * best, best + MEMBER_SLACK))]
-
-
-def ridge_family(inputs: Inputs, rows: BoolArray, fold: IntArray, probe_min: float | None) -> Problem:
-    """Return a ridge on the columns of the inputs as they are."""
-    return MeanOfRidges(inputs, rows, fold, probe_min, (Design(departures=False, correlation_min=None),))
 
 
 def require_enough(inputs: Inputs, rows: BoolArray) -> None:

@@ -50,7 +50,7 @@ class GaussianMember:
         self, name: str, inputs: Inputs, rows: BoolArray, fold: IntArray, probe_min: float | None, departures: bool
     ) -> None:
         self.name, self.layout = name, inputs.layout
-        self._design = Design(departures=departures, correlation_min=None)
+        self._design = Design(departures=departures)
         self._centre = inputs.features.mean(axis=0, where=rows[:, None])
         self._chosen = spread_rows(rows, fold, inputs.run)
         self._fold = fold[self._chosen]

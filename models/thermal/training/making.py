@@ -237,7 +237,7 @@ refused, axis_positions, pivots_mm
         solutions=(
             Solution(
                 layout=layout,
-                design=Design(departures=False, correlation_min=None),
+                design=Design(departures=False),
                 gain=np.ones(layout.columns),
                 weights=weights,
             ),

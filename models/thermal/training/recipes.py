@@ -8,7 +8,7 @@ from models.thermal.family import ThermalModel
 from models.thermal.features import BoolArray
 from models.thermal.training.advice import advice
 from models.thermal.training.choice import ON_TEMPERATURES, ChosenProblem
-from models.thermal.training.families import Prepare, ridge_family
+from models.thermal.training.families import Prepare
 from models.thermal.training.folds import FEWEST_CYCLES
 from models.thermal.training.increment_family import (
     IncrementChoices,
@@ -19,6 +19,7 @@ from models.thermal.training.increment_family import (
 from models.thermal.training.inputs import Inputs
 from models.thermal.training.linear_families import LassoProblem, PartialLeastSquaresProblem
 from models.thermal.training.making import Fitted, make_linear_model
+from models.thermal.training.ridge_member import RidgeFamily
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +54,7 @@ RECIPES = {
     "gaussian": Recipe(name="gaussian", kind="gaussian", prepare=partial(ChosenProblem, ("gaussian",)), lags=True),
     "increments": Recipe(name="increments", kind="increments", prepare=increments_without_drift, lags=False),
     "increments-b0": Recipe(name="increments-b0", kind="increments", prepare=increments_with_drift, lags=False),
-    "ridge": Recipe(name="ridge", kind="ridge", prepare=ridge_family, lags=False),
+    "ridge": Recipe(name="ridge", kind="ridge", prepare=RidgeFamily, lags=False),
     "pls": Recipe(name="pls", kind="pls", prepare=PartialLeastSquaresProblem, lags=False),
     "lasso": Recipe(name="lasso", kind="lasso", prepare=LassoProblem, lags=False),
 }

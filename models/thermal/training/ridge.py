@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from models.records import FloatArray
-from models.thermal.features import BRIDGE_MIN, BoolArray, Design, IntArray, design_columns
+from models.thermal.features import BoolArray, Design, IntArray, design_columns
 from models.thermal.solution import Solution
 from models.thermal.training.inputs import Inputs
 
@@ -44,8 +44,7 @@ class RidgeProblem:
 
     Every run has an intercept of its own, because the zero of its displacements is its own.
 
-    `rows`, shape (n,): training rows. `fold`, shape (n,): fold of every row; -1 is never left out. `design`: columns
-    and rows.
+    `rows`, shape (n,): training rows. `fold`, shape (n,): fold of every row; -1 is never left out. `design`: columns.
     """
 
     def __init__(self, inputs: Inputs, rows: BoolArray, fold: IntArray, design: Design) -> None:
@@ -68,7 +67,7 @@ class RidgeProblem:
             x = np.vstack(parts)
         else:
             x = scaled(used)
-        self._pieces = _pieces(inputs, used, fold, design, x)
+        self._pieces = _pieces(inputs, used, fold, x)
 
     def solve(self, left_out: frozenset[int], penalties: Sequence[float]) -> list[Solution]:
         """Return the fits on everything but some folds, one per relative penalty."""
@@ -127,15 +126,8 @@ def _leading_directions(some: FloatArray) -> FloatArray:
     return np.ascontiguousarray(some.T @ vectors[:, kept] / np.sqrt(eigenvalues[kept]))
 
 
-def _pieces(inputs: Inputs, used: IntArray, fold: IntArray, design: Design, x: FloatArray) -> list[_Piece]:
+def _pieces(inputs: Inputs, used: IntArray, fold: IntArray, x: FloatArray) -> list[_Piece]:
     y = inputs.cleansed_um[used]
-    if design.correlation_min is not None:
-        elapsed_min = np.diff(inputs.time_min[used])
-        follows = (np.diff(inputs.run[used]) == 0) & (np.diff(fold[used]) == 0)
-        follows &= (elapsed_min > 0.0) & (elapsed_min <= max(BRIDGE_MIN, 1.5 * inputs.period_min))
-        persists = np.exp(-elapsed_min / design.correlation_min)[:, None]
-        x, y = (x[1:] - persists * x[:-1])[follows], (y[1:] - persists * y[:-1])[follows]
-        used = used[1:][follows]
     found = []
     for run in np.unique(inputs.run[used]):
         for number in np.unique(fold[used][inputs.run[used] == run]):

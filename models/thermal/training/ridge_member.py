@@ -5,11 +5,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.thermal.features import BoolArray, Design, IntArray, Layout
+from models.thermal.model import HyperParameters
 from models.thermal.solution import Solution
-from models.thermal.training.families import fold_numbers, ridge_fit
+from models.thermal.training.families import Fit, fold_numbers, ridge_fit
 from models.thermal.training.inputs import Inputs
 from models.thermal.training.left_out_errors import LeftOutErrors, left_out_errors, only, relative_of, together
 from models.thermal.training.ridge import PENALTIES, RidgeProblem
+
+LEVELS = Design(departures=False)
+DEPARTURES = Design(departures=True)
+"""Of a ridge on temperatures, and of one on lags of them: what a part is warmer than it was decides how it bends."""
 
 
 class RidgeMember:
@@ -53,6 +58,24 @@ class RidgeMember:
     def solution(self, left_out: frozenset[int]) -> Solution:
         """Return the ridge on everything but some folds, in the columns of its own layout."""
         return self._problem.solve(left_out, [self.penalty])[0]
+
+
+class RidgeFamily:
+    """A ridge on the columns of the inputs as they are, see `Prepare`."""
+
+    def __init__(
+        self, inputs: Inputs, rows: BoolArray, fold: IntArray, probe_min: float | None, design: Design = LEVELS
+    ) -> None:
+        self._member = RidgeMember("ridge", inputs, rows, fold, probe_min, design)
+        self.hyper_parameters: HyperParameters = {
+            "penalties": [self._member.penalty],
+            "lags_min": list(inputs.layout.lags_min),
+            "speed_lags_min": list(inputs.layout.speed_lags_min),
+        }
+
+    def fit(self, left_out: frozenset[int] = frozenset()) -> Fit:
+        """Return the fit on everything but some folds."""
+        return ridge_fit([self._member.solution(left_out)])
 
 
 def nested_errors(tried: Sequence[LeftOutErrors]) -> tuple[int, LeftOutErrors]:

@@ -13,9 +13,10 @@ import numpy as np
 
 from models.records import FloatArray
 from models.thermal.features import BoolArray, IntArray
-from models.thermal.training.families import DEFAULT_DESIGNS, Fit, fold_numbers, relative_rmse, ridge_fit
+from models.thermal.training.families import Fit, fold_numbers, relative_rmse, ridge_fit
 from models.thermal.training.inputs import Inputs
 from models.thermal.training.ridge import RidgeProblem
+from models.thermal.training.ridge_member import DEPARTURES
 
 Method = Literal["forward", "lasso", "clusters"]
 PENALTY = 1e-2
@@ -52,11 +53,8 @@ class SensorComparison:
 
     def __init__(self, inputs: Inputs, rows: BoolArray, fold: IntArray) -> None:
         self._inputs, self._rows, self._fold = inputs, rows, fold
-        problems = [RidgeProblem(inputs, rows, fold, design) for design in DEFAULT_DESIGNS]
-        self._solutions = {
-            number: [problem.solve(frozenset({number}), [PENALTY])[0] for problem in problems]
-            for number in fold_numbers(rows, fold)
-        }
+        problem = RidgeProblem(inputs, rows, fold, DEPARTURES)
+        self._solutions = {number: problem.solve(frozenset({number}), [PENALTY]) for number in fold_numbers(rows, fold)}
 
     def score(self, sensors: Sequence[int]) -> float:
         """Return the RMSE with / without a model of these sensors (indices) on left-out folds."""

@@ -17,7 +17,7 @@ from models.thermal.features import BoolArray, Design, IntArray, Layout, design_
 from models.thermal.training.inputs import Inputs
 from models.thermal.training.lags import columns_of
 
-DESIGN = Design(departures=True, correlation_min=None)
+DESIGN = Design(departures=True)
 """Temperatures minus their lags: what a machine's lags have in common with its sisters' is told apart best."""
 MOST_ROWS = 1200
 """So many rows of all machines tell the directions in which rows differ most."""
