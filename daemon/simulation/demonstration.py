@@ -28,7 +28,7 @@ def too_slow(late_s: float, speed: float, cycle_period_s: float) -> str:
     possible = int(min(SILENCE_PERIODS * cycle_period_s / (2 * max(late_s, 1e-6)), speed / 2))
     advice = f"use --speed {possible}" if possible >= 1 else "end other programs"
     return (
-        f"this computer is too slow, or too busy, for --speed {speed:g}: the simulated machine waited up to "
+        f"this computer is too slow, or too busy, for --speed {speed:g}: machine or daemon waited up to "
         f"{late_s * 1e3:.0f} ms for its turn, and a line that is silent for {silence_s * 1e3:.0f} ms has ended its "
         f"pass; {advice}"
     )
@@ -71,8 +71,10 @@ def settle(running: RunningSimulation) -> tuple[dict[str, Any], dict[str, Any]]:
     return final, status
 
 
-def result(final: dict[str, Any], status: dict[str, Any], slow: str = "") -> tuple[dict[str, Any], list[str]]:
-    """Return the demonstration's numbers and every check that failed; `slow`: the computer was too slow."""
+def result(
+    final: dict[str, Any], status: dict[str, Any], speed: float, cycle_period_s: float
+) -> tuple[dict[str, Any], list[str]]:
+    """Return the demonstration's numbers and every check that failed, first that the computer was too slow for it."""
     errors = {}
     untouched = {"uncompensated_max_um": 0.0, "compensated_max_um": 0.0}
     for axis in status["axes"]:
@@ -102,7 +104,10 @@ def result(final: dict[str, Any], status: dict[str, Any], slow: str = "") -> tup
     lost = [] if -may_differ(final) <= missing <= may_differ(final) else [_not_arrived(numbers["cycles"])]
     failures = lost + _failures(numbers, status, final)
     incomplete = numbers["cycles"]["incomplete"] and not sum(final["cycles_disturbed"].values())
-    return numbers, [slow, *failures] if slow and (incomplete or lost) else failures
+    late_s = max(final["late_real_s"], numbers["latency_s"]["feedback"]["max"] or 0.0)
+    if failures and (incomplete or lost or late_s * speed > cycle_period_s):
+        failures = [too_slow(late_s, speed, cycle_period_s), *failures]
+    return numbers, failures
 
 
 def may_differ(final: dict[str, Any]) -> int:

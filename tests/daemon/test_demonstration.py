@@ -32,13 +32,16 @@ def test_a_cycle_of_a_line_must_arrive_once_and_of_a_source_one_of_a_hundred_may
     sent: dict[str, int], received: int, told: bool
 ) -> None:
     """Runs failed by one cycle of a source that a busy computer had merged with the next one, or split."""
-    final = {"truth": {}, "cycles_sent": sent, "cycles_disturbed": {"bed": 0}}
-    failures = result(final, status_with(received=received))[1]
-    assert failures == ([f"{sum(sent.values())} cycles were sent, {received} arrived"] if told else [])
+    failures = result(final_of(sent), status_with(received=received), 60.0, 5.0)[1]
+    assert failures[1:] == ([f"{sum(sent.values())} cycles were sent, {received} arrived"] if told else [])
 
 
-def status_with(received: int, incomplete: int = 0) -> dict[str, Any]:
-    delay = dict.fromkeys(("mean", "p50", "p99", "max"), 0.0)
+def final_of(sent: dict[str, int], late_real_s: float = 0.0) -> dict[str, Any]:
+    return {"truth": {}, "cycles_sent": sent, "cycles_disturbed": {"bed": 0}, "late_real_s": late_real_s}
+
+
+def status_with(received: int, incomplete: int = 0, slowest_s: float | None = 0.0) -> dict[str, Any]:
+    delay = dict.fromkeys(("mean", "p50", "p99", "max"), slowest_s)
     return {
         "axes": {},
         "cycles": {"received": received, "incomplete": incomplete},
@@ -51,7 +54,19 @@ def status_with(received: int, incomplete: int = 0) -> dict[str, Any]:
 
 
 def test_why_cycles_did_not_arrive_is_said_first() -> None:
-    final = {"truth": {}, "cycles_sent": {"bed": 900, "box": 150}, "cycles_disturbed": {"bed": 0}}
-    slow = too_slow(0.120, speed=60.0, cycle_period_s=5.0)
-    assert result(final, status_with(received=1000), slow)[1] == [slow, "1050 cycles were sent, 1000 arrived"]
-    assert result(final, status_with(received=1050), slow)[1] == []
+    final, slow = final_of({"bed": 900, "box": 150}, 0.120), too_slow(0.120, speed=60.0, cycle_period_s=5.0)
+    said = result(final, status_with(received=1000), 60.0, 5.0)[1]
+    assert said == [slow, "1050 cycles were sent, 1000 arrived"]
+    assert result(final, status_with(received=1050), 60.0, 5.0)[1] == []
+
+
+@pytest.mark.parametrize(("slowest_s", "told"), [(0.41, True), (0.05, False), (None, False)])
+def test_a_daemon_that_stood_for_a_cycle_of_the_machine_s_time_is_why_the_output_went_off(
+    slowest_s: float | None, told: bool
+) -> None:
+    """At sixty times the speed 0.41 s without a poll are 25 s, which end a reference; nothing said so."""
+    status = status_with(received=900, slowest_s=slowest_s)
+    status["output"] = {"state": "FAULT", "reason": "for the test"}
+    said = result(final_of({"bed": 900}), status, 60.0, 5.0)[1]
+    assert said[-1] == "the output ended in FAULT: for the test"
+    assert (said[:-1] == [too_slow(0.41, speed=60.0, cycle_period_s=5.0)]) == told == (len(said) == 2)

@@ -112,7 +112,7 @@ def test_a_strangers_machine_comes_to_a_verified_write(tmp_path: Path) -> None:
     for speed in (bearable(60.0), 15.0):  # what else runs may begin after the pace was measured
         options = ["--speed", f"{speed:.1f}", "--directory", str(tmp_path / "folder")]
         done = CliRunner().invoke(main, [*command, *options])
-        if done.exit_code == 0:
+        if done.exit_code == 0 or "this computer is too slow" not in done.output:
             break
         shutil.rmtree(tmp_path / "folder")
     assert done.exit_code == 0, done.output

@@ -17,7 +17,7 @@ from daemon.cli.options import EXISTING, POSITIVE, FiniteFloat, directory_option
 from daemon.monitor.control_client import DaemonUnreachableError
 from daemon.simulation import SimulationError
 from daemon.simulation.boxes import put_on
-from daemon.simulation.demonstration import Trail, result, settle, switch_on, too_slow, watch
+from daemon.simulation.demonstration import Trail, result, settle, switch_on, watch
 from daemon.simulation.processes import (
     RunningSimulation,
     folder_for,
@@ -110,7 +110,7 @@ def demo(
             final, status = settle(running)
             trail.take(running.reports)
             period_s = min(each.cycle_period_s for each in load_configuration(path).temperatures.inputs)
-    numbers, failures = result(final, status, too_slow(final["late_real_s"], speed, period_s))
+    numbers, failures = result(final, status, speed, period_s)
     write_json(json_path, numbers)
     if json_path is None:
         say_result(trail, status, port)

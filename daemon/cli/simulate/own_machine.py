@@ -9,7 +9,7 @@ from pathlib import Path
 
 from daemon.cli.common import refuse, say, write_json
 from daemon.cli.simulate.demo import page_address, simulation_folder
-from daemon.simulation.demonstration import result, settle, switch_on, too_slow, watch
+from daemon.simulation.demonstration import result, settle, switch_on, watch
 from daemon.simulation.own_machine import prepare
 from daemon.simulation.processes import port_from, start_simulation
 from models.errors import RefusedInputError
@@ -60,7 +60,7 @@ def simulate_own(
                 return
             final, status = settle(running)
             period_s = min(each.cycle_period_s for each in running.configuration.temperatures.inputs)
-    numbers, failures = result(final, status, too_slow(final["late_real_s"], speed, period_s))
+    numbers, failures = result(final, status, speed, period_s)
     write_json(json_path, numbers)
     if not enable:
         failures = beyond_waiting(failures, written=numbers["writes"]["sent"] > 0)
