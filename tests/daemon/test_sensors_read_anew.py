@@ -58,21 +58,26 @@ class SetRight(TwinLoop):
             self.loop.rig.control.request(OperatorRequest(enable=frozenset({"y", "z"})), "a person")
 
 
+def stopped_once(kind: type[SetRight], folder: Path) -> SetRight:
+    """Return a loop with a long past whose daemon ends once, in the tenth moment, and starts again."""
+    return kind(
+        folder,
+        ahead_of_lags(),
+        PLACE,
+        "checked",
+        before=600,
+        reads_past=True,
+        pauses=(10,),
+        restarting=True,
+        positionings=(30,),
+    )
+
+
 @pytest.mark.parametrize("away_s", [0.0, 700.0], ids=["at once", "after a longer outage"])
 def test_an_edited_configuration_leaves_nothing_of_another_sensor_in_the_lags(tmp_path: Path, away_s: float) -> None:
     loops = []
     for exchanged in (False, True):
-        loop = SetRight(
-            tmp_path / str(exchanged),
-            ahead_of_lags(),
-            PLACE,
-            "checked",
-            before=600,
-            reads_past=True,
-            pauses=(10,),
-            restarting=True,
-            positionings=(30,),
-        )
+        loop = stopped_once(SetRight, tmp_path / str(exchanged))
         asyncio.run(loop.begin(exchanged=exchanged, away_s=away_s).run(240))
         loops.append(loop)
     twin, loop = loops
@@ -93,17 +98,7 @@ class Renamed(SetRight):
 
 def test_the_history_of_another_machine_fills_no_lags(tmp_path: Path) -> None:
     """Where all of the past is another's, too little is known until the lags have filled anew."""
-    loop = Renamed(
-        tmp_path / "loop",
-        ahead_of_lags(),
-        PLACE,
-        "checked",
-        before=600,
-        reads_past=True,
-        pauses=(10,),
-        restarting=True,
-        positionings=(30,),
-    )
+    loop = stopped_once(Renamed, tmp_path / "loop")
     asyncio.run(loop.begin(exchanged=False, away_s=0.0).run(60))
     assert loop.states[9] is OutputState.ACTIVE and loop.states[-1] is OutputState.HOLD
     assert "too little is known" in loop.loop.rig.control.memory.reason
