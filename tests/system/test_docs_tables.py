@@ -110,7 +110,7 @@ def test_the_demo_prints_the_keys_that_are_documented() -> None:
     assert block
     documented = json.loads(block[1])
     truth = {"uncompensated_max_um": 8.0, "compensated_max_um": 1.0}
-    final = {"truth": {"z": truth}, "cycles_sent": {"line": 1}, "cycles_disturbed": {"line": 0}}
+    final = {"truth": {"z": truth}, "cycles_sent": {"line": 1}, "cycles_disturbed": {"line": 0}, "late_real_s": 0.0}
     delay = {"mean": 0.1, "p50": 0.1, "p99": 0.1, "max": 0.1, "p999": 0.1, "samples": 1}
     axis = {"estimate_from": "Z1", "applied_um": 1.0, "bound_um": 10.0, "wanted": True}
     status = {
@@ -122,7 +122,7 @@ def test_the_demo_prints_the_keys_that_are_documented() -> None:
         "written_axes": ["z"],
         "output": {"state": "ACTIVE", "reason": "following the estimate"},
     }
-    numbers, failures = result(final, status)
+    numbers, failures = result(final, status, 60.0, 5.0)
     assert failures == []
     assert shape(numbers) == shape(documented)
 
