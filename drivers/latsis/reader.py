@@ -12,6 +12,7 @@ import errno
 import io
 import os
 import select
+import termios
 import threading
 from pathlib import Path
 from typing import Protocol
@@ -130,7 +131,7 @@ class SerialPort:
         exclusive = None if "://" in port else True
         try:
             self._serial = serial.serial_for_url(port, baudrate=baud, timeout=POLLED_WAIT_S, exclusive=exclusive)
-        except serial.SerialException as error:
+        except (serial.SerialException, termios.error) as error:
             raise LinkError(f"{self._name} {_why_not_opened(port, error)}") from error
         except ValueError as error:
             raise FatalDriverError(f"{self._name} cannot be used: {error}") from error
@@ -174,9 +175,9 @@ class SerialPort:
             self._serial.close()
 
 
-def _why_not_opened(port: str, error: serial.SerialException) -> str:
+def _why_not_opened(port: str, error: serial.SerialException | termios.error) -> str:
     """Return why a port did not open and what to do about it."""
-    code = error.errno
+    code = getattr(error, "errno", None)  # one that does not take its baud rate, or is unplugged just then, has none
     if code in {errno.ENOENT, errno.ENODEV, errno.ENXIO}:
         return (
             "does not exist: plug the adapter in, or correct `port` in the configuration "

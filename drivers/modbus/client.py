@@ -8,6 +8,7 @@ import asyncio
 import contextlib
 import logging
 import random
+import termios
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -141,6 +142,11 @@ class ModbusClient:
                 connected = await self._client.connect()
         except (TimeoutError, OSError, ModbusException, UnicodeError):  # the last of a host's name that is none
             connected = False
+        except termios.error as error:  # which is no OSError
+            raise LinkError(
+                f"{self._where} does not take its settings ({error.args[-1]}): correct `baud`, `parity` and "
+                "`stop_bits`, or plug the adapter in anew"
+            ) from error
         if self._closed:  # meanwhile, and the library would keep what it has opened since
             self._drop()
             raise LinkError(f"{self._where} was closed while it was being connected")

@@ -4,6 +4,7 @@ import asyncio
 import os
 import subprocess
 import sys
+import termios
 import threading
 import time
 import tty
@@ -144,6 +145,17 @@ async def test_unplug_names_port_and_line_and_plugging_again_works(wire: Wire) -
         assert readers() == []
         await source.close()
         wire.plug()
+
+
+async def test_a_port_that_is_unplugged_while_it_is_opened_is_a_lost_link(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone(*_: object) -> None:
+        raise termios.error(5, "Input/output error")
+
+    monkeypatch.setattr(termios, "tcsetattr", gone)
+    with pytest.raises(LinkError, match=f"line spindle: port {wire.port} cannot be opened: .*Input/output error"):
+        await following(source_of(wire.port).cycles())
 
 
 async def test_busy_port(wire: Wire) -> None:

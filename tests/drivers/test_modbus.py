@@ -3,6 +3,7 @@
 import asyncio
 import json
 import math
+import termios
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -284,3 +285,21 @@ async def test_what_cannot_be_reached_is_named_with_what_to_check(tmp_path: Path
     ):
         with pytest.raises(LinkError, match=f"source bad: .*{words}"):
             await anext(source_of(place)().cycles())
+
+
+@pytest.mark.wires
+async def test_a_port_that_does_not_take_its_settings_is_named_with_their_keys(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As adapters without parity do, and any that is unplugged while it is being opened; it is no OSError."""
+    box = ModbusPtyBox(contents, tmp_path / "port")
+    box.start()
+
+    def refuse(*_: Any) -> None:
+        raise termios.error(22, "Invalid argument")
+
+    monkeypatch.setattr(termios, "tcsetattr", refuse)
+    words = r"source bad: port \S+ does not take its settings \(Invalid argument\): correct `baud`, `parity`"
+    with pytest.raises(LinkError, match=words):
+        await anext(source_of({"serial_port": str(tmp_path / "port"), "parity": "even"})().cycles())
+    box.stop()
