@@ -26,8 +26,8 @@ REFUSALS = {
     StatusCodes.BadUserAccessDenied: "refuses the user name or password",
     StatusCodes.BadIdentityTokenRejected: "refuses the user name or password",
     StatusCodes.BadIdentityTokenInvalid: "refuses the user name or password",
-    StatusCodes.BadSecurityChecksFailed: "refuses the daemon's certificate; it must be trusted at the CNC",
-    StatusCodes.BadCertificateUntrusted: "does not trust the daemon's certificate; it must be trusted at the CNC",
+    StatusCodes.BadSecurityChecksFailed: "refuses the daemon's certificate; it must be trusted there",
+    StatusCodes.BadCertificateUntrusted: "does not trust the daemon's certificate; it must be trusted there",
     StatusCodes.BadCertificateTimeInvalid: "says that the daemon's certificate has expired or is not yet valid",
     StatusCodes.BadCertificateUriInvalid: "says that the certificate's application URI differs from the daemon's",
     StatusCodes.BadCertificateUseNotAllowed: "says that the daemon's certificate is not meant for a client",
@@ -114,13 +114,13 @@ class OpcUaCredentials:
         )
         client.uaclient.set_security(client.security_policy)
 
-    def check_shown(self, endpoint: str, chain: bytes | None) -> None:
+    def check_shown(self, endpoint: str, chain: bytes | None, key: str) -> None:
         """Raise FatalDriverError where a server shows another certificate than the trusted one."""
         found, trusted = chain_thumbprint(chain or b""), thumbprint(self.server_certificate)
         if found != trusted:
             raise FatalDriverError(
                 f"{endpoint} shows another certificate than the one that is trusted "
-                f"(cnc.opcua.security.server_certificate): SHA-256 {found}, trusted {trusted}"
+                f"({key}.server_certificate): SHA-256 {found}, trusted {trusted}"
             )
 
 

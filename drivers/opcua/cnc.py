@@ -54,6 +54,7 @@ TOO_MUCH = tuple(
 )
 """What a server says that answers fewer values in one request."""
 CONNECTING, RENEWING = "connecting", "renewing the secure channel"
+NOT_TRUSTED = " (in the secure handshake: if it repeats, the server may not trust the daemon's certificate)"
 AWAY = frozenset(
     {
         StatusCodes.BadCommunicationError,
@@ -170,11 +171,8 @@ class OpcUaCnc:
         await asyncio.sleep(0)
 
     async def _connect(self, credentials: "Credentials") -> None:
-        mode, policy = ua.MessageSecurityMode.None_, SecurityPolicyNone.URI
-        if credentials is not None:
-            mode, policy = ua.MessageSecurityMode.SignAndEncrypt, SecurityPolicyBasic256Sha256.URI
         offered = await bounded_client(self._endpoint, self._config.timeout_s).connect_and_get_server_endpoints()
-        self._check_offer(offered, mode, policy, credentials)
+        mode, policy = check_offer(self._endpoint, offered, credentials, "cnc.opcua.security")
         client = self._client = bounded_client(self._endpoint, self._config.timeout_s)
         client.name, client.product_uri = "Toolpoint", "urn:toolpoint"
         client.session_timeout = SESSION_TIMEOUT_MS
@@ -190,31 +188,6 @@ class OpcUaCnc:
         self._schedule_renewal(client)
         self._services = Services(client.uaclient, self._config.timeout_s)
         self._variables = await self._find_variables(client, self._services)
-
-    def _check_offer(
-        self,
-        offered: Sequence[ua.EndpointDescription],
-        mode: ua.MessageSecurityMode,
-        policy: str,
-        credentials: "Credentials",
-    ) -> None:
-        matching = [e for e in offered if e.SecurityMode == mode and e.SecurityPolicyUri == policy]
-        if not matching:
-            offers = sorted({f"{e.SecurityPolicyUri.rpartition('#')[2]} {e.SecurityMode.name}" for e in offered})
-            advice = "" if credentials else "; configure cnc.opcua.security"
-            raise FatalDriverError(
-                f"{self._endpoint} offers {', '.join(offers) or 'nothing'}, "
-                f"not {policy.rpartition('#')[2]} {mode.name}{advice}"
-            )
-        wanted = ua.UserTokenType.UserName if credentials else ua.UserTokenType.Anonymous
-        if all(token.TokenType != wanted for e in matching for token in e.UserIdentityTokens or []):
-            raise FatalDriverError(
-                f"{self._endpoint} accepts no user names"
-                if credentials
-                else f"{self._endpoint} accepts no anonymous sessions; configure cnc.opcua.security"
-            )
-        if credentials:
-            credentials.check_shown(self._endpoint, matching[0].ServerCertificate)
 
     async def _find_variables(self, client: Client, services: Services) -> Variables:
         uri = self._opcua.namespace
@@ -332,7 +305,31 @@ class OpcUaCnc:
         """Say what a server that breaks off the secure handshake without a word usually means."""
         if not (self.security == "encrypted" and self._client is not None and not self.identity):
             return ""
-        return " (in the secure handshake: if it repeats, the CNC may not trust the daemon's certificate)"
+        return NOT_TRUSTED
+
+
+def check_offer(
+    where: str, offered: Sequence[ua.EndpointDescription], credentials: "Credentials", key: str
+) -> tuple[ua.MessageSecurityMode, str]:
+    """Return mode and policy of the session; raises FatalDriverError, with the key, for one that is not to be had."""
+    mode, policy = ua.MessageSecurityMode.None_, SecurityPolicyNone.URI
+    if credentials is not None:
+        mode, policy = ua.MessageSecurityMode.SignAndEncrypt, SecurityPolicyBasic256Sha256.URI
+    matching = [e for e in offered if e.SecurityMode == mode and e.SecurityPolicyUri == policy]
+    if not matching:
+        offers = sorted({f"{e.SecurityPolicyUri.rpartition('#')[2]} {e.SecurityMode.name}" for e in offered})
+        advice = "" if credentials else f"; configure {key}"
+        raise FatalDriverError(
+            f"{where} offers {', '.join(offers) or 'nothing'}, not {policy.rpartition('#')[2]} {mode.name}{advice}"
+        )
+    wanted = ua.UserTokenType.UserName if credentials else ua.UserTokenType.Anonymous
+    told = {token.TokenType for e in matching for token in e.UserIdentityTokens or []}
+    if told and wanted not in told:
+        lacks = "user names" if credentials else f"anonymous sessions; configure {key}"
+        raise FatalDriverError(f"{where} accepts no {lacks}")
+    if credentials:
+        credentials.check_shown(where, matching[0].ServerCertificate, key)
+    return mode, policy
 
 
 async def cancelled_plainly(call: Coroutine[Any, Any, T]) -> T:

@@ -10,6 +10,7 @@ from asyncua.client.client import Client
 from asyncua.common.node import Node
 from asyncua.ua.attribute_ids import AttributeIds
 from asyncua.ua.uaerrors import UaError
+from cryptography.exceptions import InvalidSignature
 
 from config.schema.cnc_drivers import OpcUaSecurityConfig
 from config.schema.source_drivers import SourceEntry
@@ -18,8 +19,16 @@ from drivers.clock import Clock
 from drivers.contract import FatalDriverError, LinkError
 from drivers.json_fields import number_of
 from drivers.opcua.bounded import bounded_client
-from drivers.opcua.certificates import load_credentials
-from drivers.opcua.cnc import TOO_MUCH, abort, cancelled_plainly
+from drivers.opcua.certificates import REFUSALS, load_credentials
+from drivers.opcua.cnc import (
+    CONNECTING,
+    NOT_TRUSTED,
+    SESSION_TIMEOUT_MS,
+    TOO_MUCH,
+    abort,
+    cancelled_plainly,
+    check_offer,
+)
 from drivers.opcua.log import limit_library_log
 from drivers.opcua.services import UNREADABLE
 from drivers.polling import PolledSource
@@ -67,13 +76,17 @@ class TagSession:
         """Connect, and read the server's namespaces. Raises LinkError or FatalDriverError."""
         security = self._place.security
         credentials = load_credentials(security) if security else None
+        asking = bounded_client(self._place.endpoint, self._place.timeout_s)
+        offered = await self.call(CONNECTING, asking.connect_and_get_server_endpoints())
+        check_offer(self._where, offered, credentials, "opcua.security")
         client = self._client = bounded_client(self._place.endpoint, self._place.timeout_s)
         client.name, client.product_uri = "Toolpoint", "urn:toolpoint"
+        client.session_timeout = SESSION_TIMEOUT_MS
         if credentials:
             credentials.secure(client)
             client.set_user(credentials.user_name)
             client.set_password(credentials.password)
-        await self.call("connecting", client.connect())
+        await self.call(CONNECTING, client.connect())
         if (renewing := client._renew_channel_task) is not None:  # nobody takes its error, and asyncio would log it
             renewing.add_done_callback(lambda _: renewing.cancelled() or renewing.exception())
         self.namespaces = await self.call("reading its namespaces", _namespaces(client))
@@ -104,8 +117,13 @@ class TagSession:
         except TimeoutError as error:
             words = f"{self._where} did not answer within {self._place.timeout_s:g} s while {what}"
             raise LinkError(f"{words}: check address, network, and that the server runs") from error
-        except (OSError, UaError, UnicodeError) as error:  # the last of a host's name that is none
-            raise LinkError(f"{self._where} was lost while {what}: {error or type(error).__name__}") from error
+        except (OSError, UaError, UnicodeError, InvalidSignature) as error:  # the last of a host's name that is none
+            code = getattr(error, "code", None)
+            if what == CONNECTING and code in REFUSALS:
+                raise FatalDriverError(f"{self._where} {REFUSALS[code]} ({type(error).__name__})") from error
+            secured = what == CONNECTING and self._client and self._place.security
+            unsure = NOT_TRUSTED if secured and code is None else ""
+            raise LinkError(f"{self._where} was lost while {what}: {error or type(error).__name__}{unsure}") from error
         except UNREADABLE as error:
             words = f"{self._where} answers what cannot be read while {what} ({type(error).__name__})"
             raise LinkError(words) from error

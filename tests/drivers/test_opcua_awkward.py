@@ -52,6 +52,8 @@ class Habits:
     refuses: str = ""
     """Children of a node of this identifier are not shown."""
     browsed: int = 0
+    kept_ms: float = 0.0
+    """How long the latest client wants its session kept once it is gone."""
     endpoints: Callable[[Any], Any] | None = None
     """Endpoints that it tells of -> those in its answer to a new session."""
     written: int | None = None
@@ -91,6 +93,7 @@ async def browse_(session: Any, wanted: Any) -> Any:
 
 async def create(session: Any, *asked: Any, **more: Any) -> Any:
     made = await HELD["create_session"](session, *asked, **more)
+    HABITS.kept_ms = asked[0].RequestedSessionTimeout
     if HABITS.endpoints is not None:
         made.ServerEndpoints = HABITS.endpoints(copy.deepcopy(made.ServerEndpoints))
     return made
@@ -141,6 +144,17 @@ async def test_a_server_that_does_not_say_at_a_session_what_it_is_is_asked(
     assert cnc.identity == SIMULATED_CNC_IDENTITY and NAMESPACE in session.namespaces
     await cnc.close()
     await session.close()
+
+
+@on_wires
+async def test_a_session_that_is_cut_off_takes_the_server_s_place_for_a_minute_only(
+    server: SimulatedCncServer, habits: Habits
+) -> None:
+    """A server has few of them: after some interruptions nobody would get in any more."""
+    for link in (OpcUaCnc(cnc_config(server.endpoint), SystemClock()), session_at(server)):
+        await link.connect()
+        await link.close()
+        assert habits.kept_ms == 60_000
 
 
 @on_wires

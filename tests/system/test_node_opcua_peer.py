@@ -29,9 +29,11 @@ from scripted_machine import (
     cnc_config,
 )
 
+from config.schema.source_drivers import SourceConfig
 from drivers.clock import SystemClock
-from drivers.contract import FatalDriverError, LinkError, NotSentError
+from drivers.contract import DriverError, FatalDriverError, LinkError, NotSentError
 from drivers.opcua.cnc import OpcUaCnc
+from drivers.opcua.tags import OpcUaTagSource
 from drivers.sim.wires.opcua_server import SimulatedCncServer
 from models.records import CncMode, CncRun
 
@@ -226,6 +228,40 @@ async def test_variables_of_other_types_are_read_and_written_in_their_own(node_s
             await cnc.write_macros([[(503, 0.5)], [(number, value)]])
     assert await cnc.read_macros([503]) == {503: 0.0105}, "nothing was sent"
     await cnc.close()
+
+
+def tags_of(endpoint: str, security: Any) -> OpcUaTagSource:
+    sensors = [{"id": 1, "component": "Motor", "node": "s=SpindleMotorTemperature"}]
+    section = {"endpoint": endpoint, "namespace_uri": NAMESPACE, "security": security, "timeout_s": 20.0}
+    content = {"name": "s", "driver": "opcua", "cycle_period_s": 0.1, "opcua": section | {"sensors": sensors}}
+    return OpcUaTagSource(SourceConfig.model_validate(content), SystemClock())
+
+
+@pytest.mark.parametrize("node_server", [{"sessions": 1}], indirect=True)
+async def test_a_source_is_told_why_it_gets_no_session(node_server: NodeServer, keys: Keys, tmp_path: Path) -> None:
+    wrong = tmp_path / "wrong"
+    wrong.write_text("wrong")
+    wrong.chmod(0o600)
+    strangers = Keys(tmp_path / "strangers")
+    known = "the server may not trust|it must be trusted there"
+    refused = [
+        (None, "offers Basic256Sha256 SignAndEncrypt, not None None_; configure opcua.security"),
+        (keys.client_config(password_file=wrong), "refuses the user name or password"),
+        (keys.client_config(certificate=strangers.client, private_key=strangers.client_key), known),
+        (keys.client_config(server_certificate=strangers.server), r"another certificate .*\(opcua\.security\.server_"),
+    ]
+    for security, words in refused:
+        with pytest.raises(DriverError, match=rf"source s: opc\.tcp://\S+ .*({words})"):
+            await anext(tags_of(node_server.endpoint, security).cycles())
+    first = tags_of(node_server.endpoint, keys.client_config())
+    cycles = first.cycles()
+    assert (await anext(cycles)).degc.tolist() == [31.5]
+    with pytest.raises(LinkError, match="BadTooManySessions"):
+        await anext(tags_of(node_server.endpoint, keys.client_config()).cycles())
+    await cycles.aclose()
+    second = tags_of(node_server.endpoint, keys.client_config()).cycles()
+    assert (await anext(second)).degc.tolist() == [31.5]
+    await second.aclose()
 
 
 @pytest.mark.parametrize("mode", ["Sign", "SignAndEncrypt"])

@@ -6,7 +6,7 @@
 //   node server.js '{"port": ..., "certificate": ..., "privateKey": ..., "applicationUri": ..., "pki": ...,
 //                    "trusted": ..., "user": ..., "password": ..., "namespace": ..., "macros": [...], "echo": [...],
 //                    "macroTypes": {"501": "Float"}, "state": {"Program": ["String", "O1000"]},
-//                    "takes": nodes in one request, 0 without a limit}'
+//                    "takes": nodes in one request, 0 without a limit, "sessions": so many at a time}'
 "use strict";
 const fs = require("fs");
 const opcua = require("node-opcua");
@@ -79,6 +79,7 @@ function addVariables(addressSpace) {
     securityPolicies: [opcua.SecurityPolicy.Basic256Sha256],
     allowAnonymous: false,
     serverCapabilities: new opcua.ServerCapabilities({
+      maxSessions: options.sessions || 10,
       operationLimits: { maxNodesPerRead: options.takes, maxNodesPerWrite: options.takes },
     }),
     userManager: { isValidUser: (user, password) => user === options.user && password === options.password },
