@@ -15,6 +15,7 @@ import json
 import os
 import shutil
 import sqlite3
+import stat
 import tempfile
 import time
 from collections.abc import Iterable, Iterator
@@ -278,7 +279,8 @@ def _put_in_place(
             if name == MODEL_NAME and manifest.active_release is not None:
                 path.symlink_to(Path("releases") / f"{manifest.active_release:04d}" / "model.json")
             else:
-                _place(folder / name, path)
+                # who may write in the folder of the models may do so in that of its releases
+                _place(folder / name, path, stat.S_IMODE(path.parent.stat().st_mode))
     except BaseException:  # also when a person breaks it off: half a store must not stand in the place of a whole one
         _undo(placed, kept)
         raise
@@ -318,11 +320,11 @@ def _aside(store: Path, in_the_way: list[Path]) -> list[tuple[Path, Path]]:
     return aside
 
 
-def _place(source: Path, path: Path) -> None:
+def _place(source: Path, path: Path, folder_mode: int = 0o755) -> None:
     """Copy a file or folder to its place, owned by the account that owns the folder there; never through a link."""
     if source.is_dir():
         path.mkdir()
-        _make_readable(path, 0o755)
+        _make_readable(path, folder_mode)
         for each in sorted(source.iterdir()):
             _place(each, path / each.name)
         return

@@ -1,6 +1,7 @@
 """Runs the sinks, each in a thread of its own: what one of them waits for keeps no other back."""
 
 import contextlib
+import errno
 import fcntl
 import sqlite3
 import threading
@@ -202,7 +203,12 @@ def alone(store: Path) -> Iterator[None]:
     folder = cursor_path(store, "").parent
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = lock_path(store).open("w")
+        try:
+            lock = lock_path(store).open("a")
+        except OSError as error:
+            if error.errno != errno.EROFS:
+                raise
+            lock = lock_path(store).open()  # people are told of a disk that takes nothing, too
     except OSError as error:
         raise HistoryError(f"{folder}: cannot be written ({error.strerror}); run this as the daemon's user") from error
     with lock:

@@ -3,6 +3,8 @@
 import asyncio
 import contextlib
 import shutil
+import sqlite3
+import subprocess
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -27,7 +29,7 @@ from daemon.monitor.control_socket import ControlSocket
 from daemon.sinks.alarms import sink as alarm_sink
 from daemon.sinks.alarms.observing import HELD, Lasting, certificates, of_computer, of_status
 from daemon.sinks.alarms.sink import AlarmSink
-from daemon.sinks.running import SinkRunner, make_messenger, sink_status
+from daemon.sinks.running import SinkRunner, alone, make_messenger, run_sinks, sink_status
 from daemon.snapshots import LinkSnapshot
 
 
@@ -119,6 +121,16 @@ async def test_a_fault_is_told_and_its_end_too(tmp_path: Path) -> None:
         assert said == "over after 12 min: FAULT: read-back differs: #501"
         assert "sent 2 messages; last acknowledged 20" in await it.status()
         assert await it.look(1e5) == []
+
+
+def test_a_reason_that_is_found_again_after_a_restoration_stands_in_the_alarm_once() -> None:
+    track = alarm_sink.OutputTrack()
+    for text in ("macro #500 holds 0, we wrote 28", "macro #505 holds 0, we wrote 28"):
+        track, _ = track.after(0.0, "fault", text)
+    track, _ = track.after(1.0, "state", "OFF -> FAULT: macro #500 holds 0, we wrote 28")
+    track, _ = track.after(99.0, "fault", "macro #500 holds 0, we wrote 28")
+    assert track.now is not None and track.now.reasons == 2
+    assert track.now.reason == "macro #500 holds 0, we wrote 28; macro #505 holds 0, we wrote 28"
 
 
 async def test_a_fault_that_came_and_went_while_the_sender_was_away_is_told(tmp_path: Path) -> None:
@@ -277,6 +289,65 @@ async def test_a_store_that_cannot_be_read_keeps_no_alarm_back(tmp_path: Path, m
         away.rename(store)
         await it.look()
         assert it.runner.cursor.problem == ""
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """Yield a disk of its own."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "tmpfs", str(folder)], check=False, capture_output=True).returncode:
+        pytest.skip("only root may mount a disk")
+    yield folder
+    subprocess.run(["umount", "--lazy", str(folder)], check=True)
+
+
+def remounted(folder: Path, how: str) -> None:
+    subprocess.run(["mount", "-o", f"remount,{how}", str(folder)], check=True, capture_output=True)
+
+
+async def test_who_starts_on_a_disk_that_cannot_be_written_tells_it_and_its_end(
+    tmp_path: Path, small_disk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After a failure of the disk the service manager starts both anew: the daemon cannot run, the sender must."""
+    monkeypatch.setattr(alarm_sink, "LOOK_S", 0.0)
+    alarms = {"interval_s": 0.001, "daemon_longer_than_s": 0.001, "disk_free_percent": 1e-9}
+
+    def told() -> set[tuple[str, str]]:
+        return {(alarm["change"], alarm["kind"]) for post in posts.taken for alarm in post["alarms"]}
+
+    async def until_told(what: tuple[str, str]) -> None:
+        async with asyncio.timeout(60.0):
+            while what not in told():
+                await asyncio.sleep(0.05)
+
+    configuration = machine(tmp_path)
+    clock = HandClock()
+    rig = Rig(configuration, MemoryNc(configuration, clock), clock, record=record_for(configuration))
+    async with running(rig):
+        await rig.turn()
+        await rig.history.flushed()
+        store = small_disk / "history.sqlite"
+        with contextlib.closing(sqlite3.connect(configuration.history.path)) as source:
+            source.execute("VACUUM INTO ?", (str(store),))
+        with alone(store):
+            pass  # as the sender did before the disk failed
+        with web_server() as posts:
+            sink = {"name": "chat", "driver": "webhook", "period_s": 0.05}
+            config = SinkConfig.model_validate(sink | {"webhook": {"url": posts.url, "alarms": alarms}})
+            history = configuration.history.model_copy(update={"path": store})
+            there = configuration.model_copy(update={"history": history, "sinks": [config]})
+            stop = threading.Event()
+            remounted(small_disk, "ro")
+            sender = asyncio.create_task(asyncio.to_thread(run_sinks, there, stop))
+            try:
+                await until_told(("raised", "daemon"))
+                remounted(small_disk, "rw")
+                async with serving(rig):
+                    await until_told(("ended", "daemon"))
+            finally:
+                stop.set()
+                await sender
 
 
 def test_alarms_hold_no_history_back(tmp_path: Path) -> None:

@@ -247,6 +247,16 @@ def test_nothing_is_overwritten_and_with_replace_everything_is_kept(installation
         assert reader.get_state("wanted")["axes"] == {"y": True, "z": True}
 
 
+def test_the_accounts_that_released_models_may_do_so_after_a_restoration(installation):
+    installation.release("ridge-1")
+    models = installation.configuration.compensation.model_file.parent
+    models.chmod(0o2775)
+    path = installation.backup()
+    restore(path, installation.config_path, person="anna", replace=True)
+    assert (models / "releases").stat().st_mode & 0o7777 == 0o2775, "as the first release makes it"
+    assert (models / "releases/0001").stat().st_mode & 0o7777 == 0o755, "what is released is not changed"
+
+
 @pytest.mark.parametrize(("date", "stays"), [("2026-01-01", True), ("2026-03-01", True), ("2025-12-31", False)])
 def test_a_machine_that_was_commissioned_since_the_backup_keeps_its_record(installation, date, stays):
     record, path = installation.folder / "etc/commissioning.json", installation.backup()

@@ -138,15 +138,48 @@ def test_a_machine_on_which_a_channel_happens_to_move_little_is_not_accused() ->
     assert list(found) == ["m1"] and "worse than nothing (X -650% of the error gone)" in found["m1"][0]
 
 
-def test_a_machine_of_another_type_is_refused_with_what_it_lacks(fleet: Path, tmp_path: Path) -> None:
+def test_a_machine_of_another_type_is_left_out_with_what_it_lacks(fleet: Path, tmp_path: Path) -> None:
     shutil.copytree(fleet, tmp_path / "fleet")
     moved = [sensor.model_copy(update={"component": f"Other {sensor.component}"}) for sensor in few_sensors()]
     write_configuration(tmp_path / "fleet" / "other.yaml", moved)
     machines = {f"mill-{machine}": {"recordings": [f"m{machine}/*.csv"]} for machine in MACHINES}
     machines["mill-4"] |= {"configuration": "other.yaml"}  # type: ignore[dict-item]
     write_map(tmp_path / "fleet", machines=machines)
-    result = train(tmp_path / "fleet")
-    assert result.exit_code == 2 and "machine mill-4: it shares 0 of the 16 sensors of the type" in result.output
+    result = train(tmp_path / "fleet", MACHINES, "--json", "-")
+    assert result.exit_code == 1 and "mill-4: it shares 0 of the 16 sensors of the type" in result.stderr
+    assert [one["machine"] for one in json.loads(result.stdout)["refused"]] == ["mill-4"]
+
+
+def test_a_bad_recording_is_named_and_the_type_learned_from_the_others(fleet: Path, tmp_path: Path) -> None:
+    """The first of a machine is no recording, one of another breaks off in a row, and of a third none can be read."""
+    folder, path = tmp_path / "fleet", tmp_path / "type.json"
+    shutil.copytree(fleet, folder)
+    first, broken, *_ = sorted((folder / "m1").glob("*.csv"))[:1] + sorted((folder / "m2").glob("*.csv"))[1:]
+    first.write_bytes(b"\x00\x01\x02 no recording")
+    text = broken.read_text()
+    broken.write_text(text[: len(text) // 2] + "\nx,y\n")
+    for number, each in enumerate(sorted((folder / "m3").glob("*.csv"))):
+        each.write_text("time\n" + "\n" * number)
+    result = train(folder, MACHINES, "--json", "-", "-o", str(path))
+    assert result.exit_code == 1, result.output
+    found = json.loads(result.stdout)
+    refused = {(one["machine"], Path(one["recording"] or "").name): one["why"] for one in found["refused"]}
+    assert set(refused) == {("mill-1", first.name), ("mill-2", broken.name), ("mill-3", "")}
+    assert broken.name in refused["mill-2", broken.name], "it says which file"
+    assert {one["machine"]: one["recordings"] for one in found["machines"]} == {"mill-1": 3, "mill-2": 3, "mill-4": 4}
+    assert path.is_file() and found["type"]["machines_kept"] == ["mill-1", "mill-2", "mill-4"]
+    assert "left out, because they cannot be used:" in result.stderr
+    for machine, why in (("mill-1", refused["mill-1", first.name]), ("mill-3", refused["mill-3", ""])):
+        assert f"{machine}: {why}" in result.stderr
+
+
+def test_too_few_machines_that_can_be_used_are_refused_with_each_reason(fleet: Path, tmp_path: Path) -> None:
+    shutil.copytree(fleet, tmp_path / "fleet")
+    for number, each in enumerate(sorted((tmp_path / "fleet").glob("m[234]/*.csv"))):
+        each.write_text("time\n" + "\n" * number)
+    result = train(tmp_path / "fleet", MACHINES, "-o", str(tmp_path / "type.json"))
+    assert result.exit_code == 2 and not (tmp_path / "type.json").exists()
+    assert all(f"  machine mill-{number}: " in result.output for number in (2, 3, 4)), result.output
 
 
 def test_the_map_in_the_guide_is_one() -> None:

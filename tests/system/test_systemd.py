@@ -139,7 +139,7 @@ def test_unit_gives_the_folders_of_the_default_configuration() -> None:
 
 
 def test_the_numbers_of_the_serial_ports_are_known_before_the_service_starts() -> None:
-    """The service manager looks them up once: a converter plugged in later is refused to a service that began earlier."""
+    """The service manager looks them up once: one plugged in later is refused to a service that began earlier."""
     modules = {"char-ttyUSB": "usbserial", "char-ttyACM": "cdc_acm"}
     allowed = [each.split()[0] for each in settings("DeviceAllow")]
     loaders = {f"modprobe@{modules[each]}.service" for each in allowed}

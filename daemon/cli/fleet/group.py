@@ -41,6 +41,7 @@ def train(
 
     Tells how good it is on machines that it does not know: each is left out in turn, and taken over with none, one,
     three and ten of its own recordings. Recordings of one machine are given in the order in which they were made.
+    A machine or a recording that cannot be used is named and left out; the exit status is then 1.
     """
     from config.files import write_whole
     from config.recordings.machine_map import load_machine_map
@@ -63,6 +64,16 @@ def train(
             refuse(f"{output}: the type cannot be written ({error.strerror})")
     _show(found)
     write_json(json_path, found)
+    if found["refused"]:
+        refuse(f"left out, because they cannot be used: {_named(found['refused'])}", FAILED)
+
+
+def _named(refused: list[dict[str, Any]]) -> str:
+    """Return machines and recordings with the reason, a line for each."""
+    return "".join(
+        f"\n  {one['machine']}: {one['why']}" + ("; learned from its other recordings" if one["recording"] else "")
+        for one in refused
+    )
 
 
 def _show(found: dict[str, Any]) -> None:

@@ -73,7 +73,7 @@ class OutputTrack:
     def after(self, utc_s: float, kind: str, text: str) -> tuple["OutputTrack", tuple[Stay, ...]]:
         """Return the track after an event, and the stays that have ended."""
         if kind == "fault":
-            faults = (*self.faults, text)
+            faults = tuple(dict.fromkeys((*self.faults, text)))  # after a restoration the daemon finds it once more
             if self.now is None or self.now.state != OutputState.FAULT:
                 return replace(self, faults=faults), ()
             now = replace(self.now, reason="; ".join(faults), reasons=len(faults))

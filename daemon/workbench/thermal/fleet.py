@@ -1,9 +1,9 @@
 """Trains a model of a machine type from the recordings of many machines, on processes or on a Dask cluster."""
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
@@ -42,6 +42,7 @@ RETRIES = 3
 Progress = Callable[[str, int, int], None]
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+Machine = TypeVar("Machine", MachineFiles, "Described")
 
 
 class FleetError(RefusedInputError):
@@ -49,13 +50,33 @@ class FleetError(RefusedInputError):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Refused:
+    """A machine, or one of its recordings, of which nothing is learned because it cannot be read."""
+
+    machine: str
+    recording: Path | None
+    """None: the whole machine."""
+    why: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Described:
     """A machine's columns."""
 
     files: MachineFiles
-    parts: tuple[Part, ...]
-    """Where each of its temperatures sits, in the order of its first recording."""
+    parts: Mapping[str, Part]
+    """Where each of its temperatures sits, by the name of its column."""
     channels: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        return self.files.name
+
+    def parts_of(self, recording: Recording) -> tuple[Part, ...]:
+        """Return where the temperatures of a recording sit; raises DatasetError for one that the machine lacks."""
+        if unknown := [name for name in recording.temperature_names if name not in self.parts]:
+            raise DatasetError(f"{recording.name}: {unknown[0]} is no column of the machine's first recording")
+        return tuple(self.parts[name] for name in recording.temperature_names)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,6 +88,7 @@ class FleetTraining:
     left_out: tuple[LeftOut, ...]
     odd: dict[str, list[str]]
     """What is said of machines that are otherwise than all others."""
+    refused: tuple[Refused, ...]
 
 
 @contextmanager
@@ -146,39 +168,89 @@ def train_fleet(
             f"machine {machines[0].name}: a type is learned from two machines at least; train a model of one machine "
             "with `toolpoint thermal train`"
         )
-    described = mapped(executor, describe, machines, lambda done: progress("reading headers", done, len(machines)))
-    of_type = places_of_type([one.parts for one in described])
-    common = common_channels(described, channels)
+    described, refused = tried(
+        executor, describe, machines, lambda done: progress("reading headers", done, len(machines))
+    )
+    if channels is not None:
+        refused += [lacks for one in described if (lacks := _lacking(one, channels)) is not None]
+    described = _left(described, refused)
+    of_type = places_of_type([tuple(one.parts.values()) for one in described])
+    common = common_channels(described) if channels is None else tuple(channels)
     some = [described[at] for at in evenly(len(described), MOST_SAMPLED)]
-    samples = mapped(
+    samples, unread = tried(
         executor,
         partial(_sample, of_type=of_type, channels=common),
         some,
         lambda done: progress("looking for directions", done, len(some)),
     )
-    judged = set(evenly(len(described)))
-    summaries = mapped(
+    refused += unread
+    described = _left(described, refused)
+    judged = {described[at].name for at in evenly(len(described))}
+    space = space_of(samples)
+    found, unread = tried(
         executor,
-        partial(_summary, of_type=of_type, channels=common, space=space_of(samples)),
-        [(one, at in judged) for at, one in enumerate(described)],
+        partial(_summary, of_type=of_type, channels=common, space=space, judged=judged),
+        described,
         lambda done: progress("machines", done, len(described)),
     )
+    refused += unread
+    _left(described, refused)
+    summaries = [one for one, _ in found]
+    refused += [each for _, of_machine in found for each in of_machine]
     odd = odd_machines(summaries)
     right = [one for one in summaries if one.machine not in odd]
     left_out = left_out_machines(right)
     created = datetime.now(UTC).isoformat(timespec="seconds")
-    made = machine_type(type_id, created, of_type, common, space_of(samples), right, left_out)
+    made = machine_type(type_id, created, of_type, common, space, right, left_out)
     return FleetTraining(
         machine_type=made,
         summaries=tuple(summaries),
         left_out=tuple(left_out),
         odd=sentences(odd, exchanged_sensors(summaries), common),
+        refused=tuple(refused),
     )
 
 
+def tried(
+    executor: Executor | None,
+    work: Callable[[Machine], Result],
+    machines: Sequence[Machine],
+    done: Callable[[int], None],
+) -> tuple[list[Result], list[Refused]]:
+    """Return what was made of each machine that can be used, and what is said of the others."""
+    found = mapped(executor, partial(_attempt, work), machines, done)
+    refused = [each for each in found if isinstance(each, Refused)]
+    return [each for each in found if not isinstance(each, Refused)], refused
+
+
+def _attempt(work: Callable[[Machine], Result], machine: Machine) -> Result | Refused:
+    try:
+        return work(machine)
+    except RefusedInputError as error:
+        why = str(error).removeprefix(f"machine {machine.name}: ")
+        return Refused(machine=machine.name, recording=None, why=why)
+
+
+def _left(described: Sequence[Described], refused: Sequence[Refused]) -> list[Described]:
+    """Return the machines that were not refused; raises FleetError where they are too few."""
+    gone = {each.machine for each in refused}
+    left = [one for one in described if one.name not in gone]
+    if len(left) < 2:
+        reasons = "\n".join(f"  machine {each.machine}: {each.why}" for each in refused)
+        raise FleetError(f"a type is learned from two machines at least, and too few of these can be used:\n{reasons}")
+    return left
+
+
 def describe(files: MachineFiles) -> Described:
-    """Return where the temperatures of a machine sit, and what its channels are called, from its first header."""
-    path, one = files.recordings[0], recording_map_of(files)
+    """Return where the temperatures of a machine sit, and its channels, from the first header that can be read."""
+    for path in files.recordings[:-1]:
+        with suppress(RefusedInputError):
+            return _described(files, path)
+    return _described(files, files.recordings[-1])
+
+
+def _described(files: MachineFiles, path: Path) -> Described:
+    one = recording_map_of(files)
     header, _ = read_beginning(path, 0, "utf-8" if one is None else one.encoding)
     try:
         one = usual_map(header) if one is None else one
@@ -187,9 +259,8 @@ def describe(files: MachineFiles) -> Described:
         raise DatasetError(f"{path}: {error}") from error
     names = tuple(header[column] for column in columns.temperatures)
     slopes = tuple(name + SLOPE_SUFFIX for name in columns.slopes)
-    return Described(
-        files=files, parts=parts_of(names, files.configuration, path), channels=(*columns.channels, *slopes)
-    )
+    parts = dict(zip(names, parts_of(names, files.configuration, path), strict=True))
+    return Described(files=files, parts=parts, channels=(*columns.channels, *slopes))
 
 
 def parts_of(names: Sequence[str], configuration: Path, recording: Path) -> tuple[Part, ...]:
@@ -206,20 +277,20 @@ def parts_of(names: Sequence[str], configuration: Path, recording: Path) -> tupl
     return tuple(Part(component=one.component, part=one.part, label=one.label or "") for one in found)
 
 
-def common_channels(described: Sequence[Described], wanted: Sequence[str] | None) -> tuple[str, ...]:
-    """Return the channels that are learned; raises DatasetError where a machine lacks one, or none is common."""
-    if wanted is not None:
-        for one in described:
-            if lacking := [name for name in wanted if name not in one.channels]:
-                raise DatasetError(
-                    f"machine {one.files.name}: there is no displacement channel {lacking[0]}; there are "
-                    f"{', '.join(one.channels)}"
-                )
-        return tuple(wanted)
+def _lacking(one: Described, wanted: Sequence[str]) -> Refused | None:
+    """Return what is said of a machine that lacks a channel, None where it has all of them."""
+    if not (lacking := [name for name in wanted if name not in one.channels]):
+        return None
+    why = f"there is no displacement channel {lacking[0]}; there are {', '.join(one.channels)}"
+    return Refused(machine=one.name, recording=None, why=why)
+
+
+def common_channels(described: Sequence[Described]) -> tuple[str, ...]:
+    """Return the channels that all machines have; raises DatasetError where there is none."""
     common = tuple(name for name in described[0].channels if all(name in one.channels for one in described))
     if not common:
         raise DatasetError(
-            f"the machines {described[0].files.name} and {described[-1].files.name} have no displacement channel in "
+            f"the machines {described[0].name} and {described[-1].name} have no displacement channel in "
             "common; call the same channel the same with `displacement_names` in the map of the columns"
         )
     return common
@@ -230,33 +301,41 @@ def recording_map_of(files: MachineFiles) -> RecordingMap | None:
     return None if files.map is None else load_recording_map(files.map)
 
 
-def read_machine(files: MachineFiles) -> tuple[list[Recording], float]:
-    """Return a machine's recordings, without axis positions, and the time between averaged rows [s]."""
-    one = recording_map_of(files)
-    read = temperatures_alone(read_alike(files.recordings, one, lambda what, done, total: None))
-    return read, 60.0 if one is None else one.sample_s
+def read_machine(files: MachineFiles) -> tuple[list[Recording], float, tuple[Refused, ...]]:
+    """Return a machine's recordings, without axis positions, and the time between averaged rows [s].
+
+    A recording that cannot be read is left out and named; raises RefusedInputError where none can, or what is left
+    does not fit together.
+    """
+    one, paths, refused = recording_map_of(files), files.recordings, []
+    try:
+        read = _read(paths, one)
+    except RefusedInputError:
+        for path in files.recordings:
+            try:
+                _read([path], one)
+            except RefusedInputError as error:
+                refused.append(Refused(machine=files.name, recording=path, why=str(error)))
+        paths = tuple(path for path in paths if path not in {each.recording for each in refused})
+        if not paths or not refused:
+            raise
+        read = _read(paths, one)
+    return read, 60.0 if one is None else one.sample_s, tuple(refused)
+
+
+def _read(paths: Sequence[Path], one: RecordingMap | None) -> list[Recording]:
+    return temperatures_alone(read_alike(paths, one, lambda what, done, total: None))
 
 
 def _sample(one: Described, of_type: tuple[Part, ...], channels: tuple[str, ...]) -> Sample:
-    with naming(one.files):
-        read, sample_s = read_machine(one.files)
-        return machine_sample(one.files.name, read, one.parts, of_type, channels, sample_s)
+    read, sample_s, _ = read_machine(one.files)
+    return machine_sample(one.name, read, one.parts_of(read[0]), of_type, channels, sample_s)
 
 
 def _summary(
-    task: tuple[Described, bool], of_type: tuple[Part, ...], channels: tuple[str, ...], space: Space
-) -> Summary:
-    one, tested = task
-    with naming(one.files):
-        read, _ = read_machine(one.files)
-        return machine_summary(one.files.name, read, one.parts, of_type, channels, space, tested=tested)
-
-
-@contextmanager
-def naming(files: MachineFiles) -> Iterator[None]:
-    """Name the machine of a recording that is refused: those of many machines are mostly called the same."""
-    try:
-        yield
-    except RefusedInputError as error:
-        machine = f"machine {files.name}: "
-        raise FleetError(f"{machine}{str(error).removeprefix(machine)}") from error
+    one: Described, of_type: tuple[Part, ...], channels: tuple[str, ...], space: Space, judged: set[str]
+) -> tuple[Summary, tuple[Refused, ...]]:
+    """Return what is learned of a machine, and its recordings of which nothing is."""
+    read, _, refused = read_machine(one.files)
+    parts, tested = one.parts_of(read[0]), one.name in judged
+    return machine_summary(one.name, read, parts, of_type, channels, space, tested=tested), refused

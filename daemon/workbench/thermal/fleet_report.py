@@ -45,6 +45,14 @@ def summary(result: FleetTraining, path: Path | None) -> dict[str, Any]:
             for one in result.summaries
         ],
         "left_out": _together(result.left_out),
+        "refused": [
+            {
+                "machine": one.machine,
+                "recording": None if one.recording is None else str(one.recording),
+                "why": one.why,
+            }
+            for one in result.refused
+        ],
     }
 
 
