@@ -44,6 +44,22 @@ def test_the_output_corrects_as_the_evaluation_of_a_recording_does() -> None:
         assert abs(machine.command.compensation_um - machine.applied).max() <= LIMITS.step_um.max()
 
 
+def test_the_longer_ago_the_surer_a_probe_against_what_the_one_before_has_left() -> None:
+    """By hand: what is not known of the offset fades with the offset, and grows by what wanders meanwhile."""
+    noisy, state, now_min = kalman(2.0), kalman(2.0).begin(0.0), 0.0
+    bias_um, variance_um2 = 0.0, 0.0
+    for pause_min, residual_um in ((60.0, 5.0), (1.5, 3.0), (240.0, -4.0)):
+        now_min += pause_min
+        kept = np.exp(-pause_min / 240.0)
+        variance_um2 = kept**2 * variance_um2 + 0.02 * 240.0 / 2.0 * (1.0 - kept**2)
+        gain = variance_um2 / (variance_um2 + 2.0**2)
+        bias_um = kept * bias_um + gain * (residual_um - kept * bias_um)
+        variance_um2 *= 1.0 - gain
+        state = noisy.correct(state, now_min, np.array([residual_um]))
+        assert state.bias_um[0] == pytest.approx(bias_um), pause_min
+        assert state.variance_um2[0] == pytest.approx(variance_um2), pause_min
+
+
 def test_left_alone_the_offset_returns_slowly_and_within_the_slew_rate() -> None:
     machine = Machine().following().set(probe_wander=WANDER)
     machine.step(probe_um=np.array([np.nan, 4.0])).step(60)

@@ -299,6 +299,21 @@ def test_a_sensor_that_begins_on_a_coarse_step_and_shows_finer_values_has_the_li
 
 
 @pytest.mark.parametrize(
+    ("known_k", "begins_degc", "step_k"), [(0.5, 21.3, 0.5), (0.0, 21.0, 1.0), (0.0625, 21.0, 0.0625), (0.0, 21.3, 0.0)]
+)
+def test_a_sensor_may_jump_by_its_step_more_than_in_training_and_by_no_more(
+    watch: SensorWatch, known_k: float, begins_degc: float, step_k: float
+) -> None:
+    """The step that is known counts, whatever the values look like; else the one that they tell."""
+    watcher, degc = Watcher(watch, (known_k,) * SENSORS), np.full(SENSORS, begins_degc)
+    begun = watcher.begin(0.0, degc, 0.0)
+    for beyond_k, faulty in ((-0.01, False), (0.01, True)):
+        jumped = degc + (np.arange(SENSORS) == 2) * (watch.slew_k_per_min + step_k + beyond_k)
+        signs = [(fault.sensor, fault.sign) for fault in watcher.step(begun, 1.0, jumped, 0.0).faults]
+        assert ((2, "slew") in signs) == faulty
+
+
+@pytest.mark.parametrize(
     ("degc", "step_k"),
     [
         (23.0, 1.0),
