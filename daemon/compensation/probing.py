@@ -19,7 +19,8 @@ from models.records import CncSample, FloatArray, Instant, ProbeSample, ThermalE
 LOST = "the link to the CNC was lost before it took effect; ask again"
 FAULTY = "the output went into FAULT before it took effect; acknowledge the fault, then measure again"
 GUARD_BETWEEN_S = 1.0
-"""A guard that moved so shortly before the program asks has moved since it measured, which takes longer [s]."""
+"""A guard that moved so shortly before the program asks has moved since it measured, which takes longer [s]; when
+between two polls it asked, nobody knows."""
 GUARD_BETWEEN = "the guard moved the axes between measuring and asking: call it before you measure, and measure again"
 
 
@@ -56,6 +57,8 @@ class MeasuredByNc:
         self._polled_s: float | None = None
         self._polled: tuple[float, Echo] | None = None
         """CNC clock [s] and echo of the latest poll."""
+        self._asked_after_s = -np.inf
+        """What is asked for in the latest poll came after this, on the CNC's clock [s]."""
         self._moved_s = -np.inf
         """When the guard moved an axis last, on the CNC's clock [s]."""
         self.tool_setting: tuple[bool, ...] | None = None
@@ -64,6 +67,7 @@ class MeasuredByNc:
     def on_sample(self, sample: CncSample, echo: Echo, estimate: ThermalErrorEstimate | None) -> None:
         """Take one poll: the tool in the spindle, where the axes stand, and what the guard has done."""
         before, self._polled = self._polled, (sample.clock_s, echo)
+        self._asked_after_s = min(np.inf if before is None else before[0], sample.clock_s - GUARD_BETWEEN_S)
         if before is not None and echo.time_s is not None:
             stood = np.allclose(echo.applied_um, before[1].applied_um, rtol=0.0, atol=ECHO_SLACK_UM, equal_nan=True)
             self._moved_s = self._moved_s if stood else echo.time_s
@@ -111,7 +115,7 @@ class MeasuredByNc:
     @property
     def _guard_between(self) -> bool:
         """What the program measured was measured with another offset than the one that is applied now."""
-        return self._polled is not None and abs(self._polled[0] - self._moved_s) < GUARD_BETWEEN_S
+        return self._polled is not None and self._asked_after_s < self._moved_s < self._polled[0] + GUARD_BETWEEN_S
 
     @property
     def waiting(self) -> bool:

@@ -102,6 +102,31 @@ async def test_what_was_measured_before_the_guard_moved_does_not_count_after_it(
     assert answer(bench) == 2.0
 
 
+@pytest.mark.parametrize(("kind", "value_mm"), [(PROBE, 0.002), (REFERENCE, 0.0)])
+async def test_nor_where_the_guard_moved_and_the_program_asked_while_the_link_was_away(rig, bench, kind, value_mm):
+    """It is heard half a minute later, when the guard has long stood still again."""
+    await rig.active(handshake=True)
+    await rig.follow(0.0, -8.0, 40)
+    for _ in range(12):
+        await rig.turn(rig.estimate(0.0, -13.0), safe=False)
+    before = rig.applied["z"]
+    bench.nc.reachable = False
+    await rig.turn(rig.estimate(0.0, -13.0), safe=False)
+    bench.nc.safe_point()
+    assert rig.applied["z"] > before + 1.0
+    ask(bench, 1, kind, Z_AXIS, value_mm)
+    bench.clock.monotonic_s += 30.0
+    bench.nc.reachable = True
+    await rig.connected()
+    for _ in range(5):
+        await rig.turn(rig.estimate(0.0, -13.0), safe=False)
+    assert answer(bench) == -1.0
+    ask(bench, 2, kind, Z_AXIS, value_mm)
+    for _ in range(2):
+        await rig.turn(rig.estimate(0.0, -13.0), safe=False)
+    assert answer(bench) == 2.0
+
+
 async def test_a_probe_value_that_was_taken_is_not_refused_when_the_link_is_lost_in_the_write_after_it(rig, bench):
     await rig.active()
     await rig.follow(0.0, -8.0, 40)
