@@ -9,7 +9,6 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from config.knobs import knob_at, section_at
 from config.schema import Configuration
 from config.schema.base import FORMS, ConfigurationError, KeyProblems, Problem, Section
 from config.schema.cnc import CHECK_MISSING
@@ -220,6 +219,8 @@ def _sentence(details: list[Any], path: KeyPath, model: type[BaseModel]) -> str:
     """Return one sentence for all that was refused about one key."""
     first = details[0]
     if first["type"] == "missing":
+        from config.knobs import knob_at  # noqa: PLC0415 (only what is wrong with a file needs it)
+
         knob = knob_at(model, path)
         words = f": {knob.description}" if knob and knob.description else ""
         return f"this key is required and missing{words}"
@@ -261,6 +262,8 @@ def _suggestion(given: Any, expected: str) -> str:
 
 
 def _unknown_key(path: KeyPath, model: type[BaseModel]) -> str:
+    from config.knobs import section_at  # noqa: PLC0415 (only what is wrong with a file needs it)
+
     parent = section_at(model, path[:-1])
     known = list(parent.model_fields) if parent else []
     close = difflib.get_close_matches(str(path[-1]), known, n=1, cutoff=0.5)

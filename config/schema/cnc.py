@@ -202,6 +202,11 @@ class TemperatureMacroConfig(Section):
     )
 
 
+SPEED = "spindle speed"
+_PLACE = ("driver", "preset", "namespace_uri", "path", "device")
+OF_SPEED = (*_PLACE, "spindle_speed", "spindle_speed_macro", "spindle_speed_item")
+OF_POSITIONS = (*_PLACE, "axis_position", "position_items")
+"""Keys of a driver's section that decide what is read as spindle speed, and as axis positions."""
 AXIS_NUMBERS = {"X": 1, "Y": 2, "Z": 3}
 ROTARY = "ABC"
 
@@ -263,6 +268,15 @@ class CncConfig(CncDriverConfig):
         examples=[{"Z_mm": {"axis": "Z", "travel_mm": [0.0, 500.0], "rapid_mm_per_min": 30000.0}}],
     )
     guard: GuardConfig = Field(default_factory=GuardConfig, description="guard macro that the CNC runs at safe points")
+
+    @property
+    def reads(self) -> dict[str, str]:
+        """What is read as spindle speed and as each axis position, by what an input of a model is called."""
+        said = self.connection.model_dump(mode="json", exclude_defaults=True)
+        said |= {"driver": self.driver} | (said.get("nodes") or {})
+        speed, position = (" ".join(f"{said[key]}" for key in keys if key in said) for keys in (OF_SPEED, OF_POSITIONS))
+        axes = self.axis_positions.items()
+        return {SPEED: speed} | {f"axis position {n}": f"{position} {a.axis} {a.place} {a.unit}" for n, a in axes}
 
     @property
     def is_sinumerik(self) -> bool:

@@ -125,9 +125,9 @@ def reference_rules(
 def _counts_with(configuration: Configuration, um_per_unit: Mapping[str, float]) -> dict[str, str]:
     """Return what the numbers mean that are kept of a reference: they stand in the order of the sensors."""
     temperatures = configuration.temperatures
-    sensors = json.dumps([*temperatures.reads.items()])
+    inputs = json.dumps([*temperatures.reads.items(), *configuration.cnc.reads.items()])
     marks = {
-        "what sensors read or the list of them": hashlib.sha256(sensors.encode()).hexdigest(),
+        "what sensors or the control read, or the list of them": hashlib.sha256(inputs.encode()).hexdigest(),
         "the commissioned movement per macro value": json.dumps(dict(um_per_unit)),
     }
     for name, axis in configuration.compensation.axes.items():

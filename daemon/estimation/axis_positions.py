@@ -124,16 +124,11 @@ class AxisPositions(NoPositions):
         self._mean = RollingMean(self._window_s)
         self._mean.add(now_s, self.reference_mm)
         known = zip(self.names, self.reference_mm.tolist(), strict=True)
-        return {self._identity(name): mm for name, mm in known if np.isfinite(mm)}
+        return {name: mm for name, mm in known if np.isfinite(mm)}
 
     def take_up(self, kept: Mapping[str, float]) -> None:
-        """Count from where the axes stood at a reference of before; one that was read elsewhere is unknown."""
-        self.reference_mm = np.array([kept.get(self._identity(name), np.nan) for name in self.names])
-
-    def _identity(self, name: str) -> str:
-        """Return a name, and what is read from the control under it: an entry may be changed before a restart."""
-        axis = self._axes[name]
-        return " ".join((name, axis.axis, str(axis.place), axis.unit))
+        """Count from where the axes stood at a reference of before."""
+        self.reference_mm = np.array([kept.get(name, np.nan) for name in self.names])
 
     def unknown(self, model: ThermalModel, now_s: float) -> str:
         """Return which position that a model needs is not known, and why, '' when all are."""

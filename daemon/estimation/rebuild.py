@@ -10,7 +10,7 @@ import structlog
 from config.schema import Configuration
 from daemon.estimation.inputs import NoPositions
 from daemon.history import HistoryError, HistoryReader
-from daemon.state_store.documents import CalendarOfBoot
+from daemon.state_store.documents import CalendarOfBoot, ControlRead
 from daemon.state_store.store import StateStore
 from daemon.telemetry.metrics import give_memory_back
 from drivers.clock import Clock
@@ -64,6 +64,15 @@ class HistoryBackfill:
         self._calendar = [*kept.to_utc_s] if kept is not None and goes_on else []
         """Since this computer's start, from when on [s], and UTC minus the monotonic clock then [s]."""
         self._note_calendar()
+        self._since_utc_s = self._note_control(configuration.cnc.reads)
+
+    def _note_control(self, reads: dict[str, str]) -> float:
+        """Note what is read from the control; return since when, by the calendar [s]."""
+        kept = self._documents.get(ControlRead) or ControlRead(reads=reads, since_utc_s=NOWHERE_S)
+        changed = any(kept.reads.get(name, read) != read for name, read in reads.items())
+        since_utc_s = self._clock.now().utc_s if changed else kept.since_utc_s
+        self._documents.put(ControlRead(reads=reads, since_utc_s=since_utc_s))
+        return since_utc_s
 
     def _note_calendar(self) -> float:
         """Note how far the calendar is ahead of the monotonic clock; return by how much it was set [s]."""
@@ -162,7 +171,7 @@ class HistoryBackfill:
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return times [s] and temperatures [degC], times [s], speeds [1/min] and axis positions [mm] of a span."""
         found = reader.temperatures(self._sensor_ids, from_utc_s - LEAD_S, to_utc_s)
-        cnc = reader.cnc(from_utc_s, to_utc_s)
+        cnc = reader.cnc(max(from_utc_s, self._since_utc_s), to_utc_s)
         of, of_cnc = self._of(span, found.time_s, found.monotonic_s), self._of(span, cnc.time_s, cnc.monotonic_s)
         own = replace(found, time_s=found.time_s[of], degc=found.degc[of], quality=found.quality[of])
         cnc_s, none = cnc.time_s[of_cnc] - span.to_utc_s, np.full(len(cnc.time_s), np.nan)

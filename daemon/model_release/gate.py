@@ -5,6 +5,7 @@ from hashlib import sha256
 
 from config.records.release_record import ReleaseRecord
 from config.schema import Configuration
+from config.schema.cnc import SPEED
 from models.thermal.family import ThermalModel
 from models.thermal.model import MACHINE, READS
 
@@ -42,7 +43,14 @@ def inputs_now(configuration: Configuration) -> dict[str, str]:
     reads = [*configuration.temperatures.reads.items()]
     labels = configuration.temperatures.labels.items()
     of_labels = {f"label {label}": " ".join(sorted(reads[place][1] for place in places)) for label, places in labels}
-    return {f"sensor {sensor_id}": read for sensor_id, read in reads} | of_labels
+    return {f"sensor {sensor_id}": read for sensor_id, read in reads} | of_labels | configuration.cnc.reads
+
+
+def inputs_of(model: ThermalModel) -> list[str]:
+    """Return what `inputs_now` calls the inputs of a model."""
+    places = [f"axis position {name}" for name in model.axis_positions]
+    sensors = [f"sensor {sensor_id}" for sensor_id in model.sensor_ids[: len(model.sensor_ids) - len(places)]]
+    return [*sensors, *places, *([SPEED] if model.needs_speed else [])]
 
 
 def inputs_inhibit(record: ReleaseRecord | None, configuration: Configuration) -> str:
@@ -51,22 +59,23 @@ def inputs_inhibit(record: ReleaseRecord | None, configuration: Configuration) -
     if not (other := [name for name, read in then.items() if now.get(name) != read]):
         return ""
     return (
-        f"{', '.join(other[:8])} read something else than when it was released (see temperatures); where they still "
-        "measure what it was trained on, release it again from its file"
+        f"{', '.join(other[:8])} read something else than when it was released (see temperatures, cnc); where they "
+        "still measure what it was trained on, release it again from its file"
     )
 
 
-def reads_in_short(model: ThermalModel, reads: Mapping[int, str]) -> str:
-    """Return in one word what a model's sensors read; `reads`: of each sensor, by its ID."""
-    return sha256(" ".join(reads.get(each, "") for each in model.sensor_ids).encode()).hexdigest()[:16]
+def reads_in_short(model: ThermalModel, reads: Mapping[str, str]) -> str:
+    """Return in one word what a model's inputs read; `reads`: of each, by what `inputs_of` calls it."""
+    return sha256(" ".join(reads.get(each, "") for each in inputs_of(model)).encode()).hexdigest()[:16]
 
 
 def read_otherwise(model: ThermalModel, configuration: Configuration) -> str:
     """Return that a model's sensors read something else than in its training, '' when not, or when nobody knows."""
-    now = reads_in_short(model, configuration.reads)
+    sensors = {f"sensor {sensor_id}": read for sensor_id, read in configuration.reads.items()}
+    now = reads_in_short(model, sensors | configuration.cnc.reads)
     if model.hyper_parameters.get(READS, now) == now:
         return ""
-    return "its sensors read something else than when it was trained (see temperatures)"
+    return "its inputs read something else than when it was trained (see temperatures and cnc)"
 
 
 def unfit(model: ThermalModel, configuration: Configuration) -> str:

@@ -16,7 +16,7 @@ from config.schema import Configuration
 from daemon.cnc.limits import commissioned_factors
 from daemon.history.reader import HistoryReader
 from daemon.history.series import CncHistory
-from daemon.state_store.documents import SensorLevelsDocument
+from daemon.state_store.documents import ControlRead, SensorLevelsDocument
 from daemon.state_store.store import KEYS
 from drivers.guard.sloped_axes import SlopedAxis, added_um, sloped_axes
 from models.recordings.dataset import DatasetError, Recording
@@ -113,9 +113,9 @@ def recordings_from_history(
 
 
 def _as_read_now_since_utc_s(reader: HistoryReader) -> float:
-    """Return since when the configuration reads under every ID the sensor that it reads now [s]."""
-    gaps = _levels(reader).get("gaps", ())
-    return max((gap["to_utc_s"] for gap in gaps if gap["from_utc_s"] < BEGINNING_S / 2), default=-np.inf)
+    """Return since when the configuration reads of every input what it reads now [s]."""
+    gaps, of_control = _levels(reader).get("gaps", ()), _of_control(reader).get("since_utc_s", -np.inf)
+    return max([of_control, *(gap["to_utc_s"] for gap in gaps if gap["from_utc_s"] < BEGINNING_S / 2)])
 
 
 def what_is_left_out(reader: HistoryReader, from_utc_s: float) -> str:
@@ -126,13 +126,20 @@ def what_is_left_out(reader: HistoryReader, from_utc_s: float) -> str:
     return f"; what is older than {since} is left out, because the configuration changed what sensors read"
 
 
-def read_of_history(reader: HistoryReader) -> dict[int, str]:
-    """Return what the daemon that wrote the history last read of each sensor, by its ID; empty: it did not say."""
-    return {int(sensor_id): read for sensor_id, read in _levels(reader).get("reads", {}).items()}
+def read_of_history(reader: HistoryReader) -> dict[str, str]:
+    """Return what the daemon that wrote the history last read of each input of a model; empty: it did not say."""
+    of_sensors = _levels(reader).get("reads", {})
+    return {f"sensor {sensor_id}": read for sensor_id, read in of_sensors.items()} | _of_control(reader).get(
+        "reads", {}
+    )
 
 
 def _levels(reader: HistoryReader) -> dict[str, Any]:
     return reader.get_state(KEYS[SensorLevelsDocument]) or {}
+
+
+def _of_control(reader: HistoryReader) -> dict[str, Any]:
+    return reader.get_state(KEYS[ControlRead]) or {}
 
 
 def _why_unknown(configuration: Configuration, channels: Mapping[str, str]) -> str:

@@ -20,6 +20,7 @@ from daemon.model_release.gate import (
     channels_in_use,
     inputs_inhibit,
     inputs_now,
+    inputs_of,
     machine_inhibit,
     read_otherwise,
 )
@@ -43,7 +44,7 @@ class Kind:
     checked: Callable[[Configuration, bytes, str], tuple[Named, list[str]]]
     """Return the model that bytes hold, and what was found good; raises ReleaseError."""
     inputs: Callable[[Any], Iterable[str]]
-    """Return what `inputs_now` calls the temperatures that a model takes."""
+    """Return what `inputs_now` calls what a model takes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -368,9 +369,5 @@ def _record(
     )
 
 
-def _sensors(model: ThermalModel) -> Iterable[str]:
-    return (f"sensor {sensor_id}" for sensor_id in model.sensor_ids)
-
-
-THERMAL = Kind(repository=repository_of, checked=_checked, inputs=_sensors)
+THERMAL = Kind(repository=repository_of, checked=_checked, inputs=inputs_of)
 """The thermal model of the compensation."""

@@ -128,6 +128,15 @@ class SensorLevelsDocument:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ControlRead:
+    """What is read from the control as spindle speed and axis positions, see `CncConfig.reads`."""
+
+    reads: Mapping[str, str]
+    since_utc_s: float
+    """Since when all of it is [s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class InOtherUnit:
     """Inputs that say another unit than is configured; nothing of them counts."""
 

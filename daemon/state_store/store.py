@@ -18,6 +18,7 @@ from daemon.history.intake import Commit
 from daemon.history.writer import HistoryWriter
 from daemon.state_store.documents import (
     CalendarOfBoot,
+    ControlRead,
     DaemonAlive,
     InOtherUnit,
     InputsRead,
@@ -47,6 +48,7 @@ KEYS: dict[type, str] = {
     SensorLevelsDocument: "sensor_levels",
     InOtherUnit: "in_other_unit",
     InputsRead: "inputs_read",
+    ControlRead: "control_read",
     SpindleSpeeds: "spindle_speed",
     SpindleSpeedSwitch: "spindle_speed_off",
 }

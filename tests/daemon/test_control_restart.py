@@ -8,6 +8,7 @@ from control_rig import Bench, Z, record_for, running
 from wires import EVER, check_audit
 
 from config.records.commissioning import CommissionedAxis
+from config.schema.cnc_drivers import OpcUaNodesConfig
 from config.schema.compensation import ToolTermConfig
 from daemon.history import HistoryReader
 from daemon.messages import ReferenceRebased, ReferenceRefused, ReferenceRequest, ReferenceTakenUp
@@ -97,7 +98,8 @@ async def test_an_estimate_right_after_the_restart_does_not_count_twice(bench):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"temperatures": "exchanged"}, "what sensors read or the list of them changed"),
+        ({"temperatures": "exchanged"}, "what sensors or the control read, or the list of them changed"),
+        ({"spindle_speed": "s=Speed.2"}, "what sensors or the control read, or the list of them changed"),
         ({"record": -1}, "the commissioned movement per macro value changed"),
         ({"z": {"estimate": "Y1"}}, "what axis z follows, or its tool term changed"),
         ({"z": {"tool_term": TERM}}, "what axis z follows, or its tool term changed"),
@@ -114,6 +116,11 @@ async def test_a_reference_counts_with_the_sensors_factors_and_axes_of_its_run_a
         first, *others = content["temperatures"]["sensors"]
         content["temperatures"]["sensors"] = [*others, first]
         bench.configuration = type(bench.configuration).model_validate_json(json.dumps(content))
+        record = record_for(bench.configuration)
+    elif "spindle_speed" in changes:
+        opcua = bench.configuration.cnc.opcua.model_copy(update={"nodes": OpcUaNodesConfig(**changes)})
+        cnc = bench.configuration.cnc.model_copy(update={"opcua": opcua})
+        bench.configuration = bench.configuration.model_copy(update={"cnc": cnc})
         record = record_for(bench.configuration)
     elif "z" in changes:
         compensation = bench.configuration.compensation

@@ -12,12 +12,13 @@ from control_rig import SENSOR_IDS, HandClock, machine
 from thermal_rig import model as increments
 from whole_loop import lagged_model
 
+from config.schema.cnc import SPEED
 from config.schema.cnc_drivers import NO_NODE, OpcUaNodesConfig
 from daemon.estimation.task import ThermalTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
 from daemon.messages import ReferenceRequest, ReferenceTakenUp, SensorsSinceReference, SpindleSpeed
-from daemon.model_release.gate import unfit
+from daemon.model_release.gate import inputs_now, inputs_of, unfit
 from daemon.model_release.release_checks import gate_inhibit
 from daemon.simulation.replaying import not_enabled
 from daemon.telemetry.metrics import Telemetry
@@ -110,6 +111,11 @@ def test_a_model_with_speed_is_not_released_where_no_speed_is_read(tmp_path, mod
         assert unfit(model, mute) == ""
     for speaks in (reads, with_nodes(reads, preset="generic", nodes=OpcUaNodesConfig(spindle_speed="s=Speed"))):
         assert unfit(model_with_speed, speaks) == ""
+
+
+def test_speed_is_an_input_of_a_model_that_needs_it(tmp_path, model, model_with_speed):
+    assert [SPEED in inputs_of(each) for each in (model, model_with_speed)] == [False, True]
+    assert SPEED in inputs_now(machine(tmp_path))
 
 
 class Shop:
@@ -215,6 +221,33 @@ async def test_a_machine_that_was_off_over_night_is_followed_from_its_first_refe
     await shop.run(2)
     assert shop.latest.confidence > 0.9
     await shop.end()
+
+
+async def test_an_edited_configuration_leaves_nothing_of_another_variable_in_the_lags_of_speed(
+    tmp_path, model_with_speed
+):
+    """For five hours a variable in place of the speed said a fifth of it; then a person named the right one."""
+    found = []
+    for share in (1.0, 0.2):
+        (folder := tmp_path / str(share)).mkdir()
+        shop = Shop(folder, model_with_speed, by_load=True)
+        await shop.end()
+        right, rpm = shop.configuration, shop.rpm
+        for edit, said in ((share < 1.0, share * rpm), (False, rpm), (False, rpm)):
+            shop.configuration = with_nodes(right, nodes=OpcUaNodesConfig(spindle_speed="s=Load")) if edit else right
+            shop.rpm = said
+            shop.begin()
+            await shop.prepare()
+            await shop.run(300 if said is not rpm or shop.minute < 1.0 else 4)
+            await shop.refer()
+            await shop.run(30)
+            await shop.end()
+        found.append(shop.latest)
+    twin, after = found
+    assert twin.confidence > 0.9
+    off_um = np.abs(after.thermal_error_um - twin.thermal_error_um).max()
+    assert after.confidence < 0.3, f"{off_um:.1f} um off, with a confidence of {after.confidence}"
+    assert "spindle speed" in after.inhibit
 
 
 async def test_a_warm_machine_without_a_past_is_doubted_says_what_it_needs_and_has_a_wider_band(

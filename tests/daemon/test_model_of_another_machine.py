@@ -4,17 +4,23 @@ import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from control_rig import SENSOR_IDS
 from model_folder import configured, open_folder, proposal
 from other_user import OTHER
 from rewired import EXCHANGED, rewired
 from small_model import model
 
+from config.schema import Configuration
+from config.schema.cnc import AxisPositionConfig
+from config.schema.cnc_drivers import OpcUaNodesConfig
 from daemon.cli import main
 from daemon.model_release.file_access import Account
+from daemon.model_release.gate import inputs_inhibit, inputs_now
 from daemon.model_release.loading import load_released
 from daemon.model_release.releasing import proposals, release, release_by_policy, rollback
 from daemon.model_release.repository import ReleaseError
@@ -81,6 +87,41 @@ def test_a_model_whose_sensors_read_something_else_since_its_release_is_released
     with pytest.raises(ReleaseError, match="release 1: sensor 1, sensor 2 read something else"):
         rollback(after, person="anna", to=1)
     assert rollback(after, person="anna", to=2).reads and load_released(after, STRANGER).model is not None
+
+
+@pytest.mark.parametrize(
+    ("what", "changes"),
+    [
+        ("axis position Z_mm", {"axis": "Y"}),
+        ("axis position Z_mm", {"number": 4}),
+        ("axis position Z_mm", {"unit": "inch"}),
+        ("axis position Z_mm", {"axis_position": "s=Actual.{axis}"}),
+        ("spindle speed", {"spindle_speed": "s=Speed.2"}),
+        ("", {"travel_mm": (0.0, 400.0), "rapid_mm_per_min": 9000.0}),
+        ("", {"clock": "s=Time"}),
+    ],
+)
+def test_what_a_model_takes_from_the_control_is_held_to_the_same_rule(
+    folder: Path, what: str, changes: dict[str, Any]
+) -> None:
+    """The axis of another column, its other number, inches, or the load in place of the speed, is another input."""
+    before, axis = configured(folder), AxisPositionConfig(axis="Z", travel_mm=(0.0, 500.0), rapid_mm_per_min=600.0)
+
+    def edited(nodes: dict[str, Any], of_axis: dict[str, Any]) -> Configuration:
+        assert before.cnc.opcua is not None
+        opcua = before.cnc.opcua.model_copy(update={"nodes": OpcUaNodesConfig(**nodes)})
+        axes = {"Z_mm": axis.model_copy(update=of_axis)}
+        return before.model_copy(update={"cnc": before.cnc.model_copy(update={"opcua": opcua, "axis_positions": axes})})
+
+    of_axis = {key: value for key, value in changes.items() if key in AxisPositionConfig.model_fields}
+    then, now = edited({}, {}), edited({k: v for k, v in changes.items() if k not in of_axis}, of_axis)
+    made = model(axis_positions=("Z_mm",))
+    record = release(then, proposal(folder, made), person="anna")
+    assert list(record.reads) == [*(f"sensor {i}" for i in SENSOR_IDS), "axis position Z_mm"]
+    assert load_released(then, STRANGER).model is not None
+    assert (load_released(now, STRANGER).model is None) == what.startswith("axis")
+    of_speed = record.model_copy(update={"reads": record.reads | {"spindle speed": inputs_now(then)["spindle speed"]}})
+    assert inputs_inhibit(of_speed, now).partition(" read something else")[0] == what
 
 
 def test_a_release_of_a_version_that_did_not_say_what_its_sensors_read_counts(folder: Path) -> None:

@@ -110,7 +110,9 @@ def test_the_policy_releases_no_model_whose_sensors_read_something_else_since_it
 
     trained = model("ridge-3", 1.5)
     for name, read in (("3.json", before), ("4.json", after)):
-        told = trained.hyper_parameters | {READS: reads_in_short(trained, read.reads)}
+        told = trained.hyper_parameters | {
+            READS: reads_in_short(trained, {f"sensor {i}": each for i, each in read.reads.items()})
+        }
         proposal(folder, replace(trained, model_id=f"ridge-{name[0]}", hyper_parameters=told), name)
     record = release_by_policy(after, person="policy")
     assert record is not None and record.model_id == "ridge-4"

@@ -19,9 +19,12 @@ from rewired import EXCHANGED, rewired
 
 from config.loader import load_configuration
 from config.schema import Configuration
+from config.schema.cnc_drivers import OpcUaNodesConfig
 from config.schema.compensation import RetrainingConfig
 from config.schema.service import HistoryConfig
 from daemon.cli import main
+from daemon.estimation.inputs import NoPositions
+from daemon.estimation.rebuild import HistoryBackfill
 from daemon.estimation.sensor_memory import LevelMemory
 from daemon.history.layout import MachineLayout
 from daemon.history.reader import HistoryReader
@@ -32,6 +35,7 @@ from daemon.model_release.gate import reads_in_short
 from daemon.model_release.past_recordings import commissioned_um_per_unit, recordings_from_history
 from daemon.model_release.retraining import propose_from_history
 from daemon.monitor.web.downloads import EXPORTER
+from daemon.state_store.store import StateStore
 from drivers.clock import SystemClock
 from drivers.files.recording_csv import read_recording
 from models.recordings.dataset import DatasetError
@@ -118,20 +122,25 @@ def test_training_data_are_measured_minus_applied(machine: tuple[Installation, C
     assert recording.temperature_names == tuple(f"T{sensor_id}" for sensor_id in SENSOR_IDS)
 
 
+@pytest.mark.parametrize("of", ["sensors", "control"])
 def test_nothing_is_trained_on_of_before_the_configuration_reads_what_it_reads_now(
-    machine: tuple[Installation, Configuration, float], tmp_path: Path
+    machine: tuple[Installation, Configuration, float], tmp_path: Path, of: str
 ) -> None:
     """A start on an edited configuration leaves a gap from the beginning in what the levels of its sensors count as."""
     _, configuration, begin_s = machine
     store = tmp_path / "history.sqlite"
     shutil.copy(configuration.history.path, store)
     configuration = configuration.model_copy(update={"history": HistoryConfig(path=store)})
-    edited, made = rewired(configuration, EXCHANGED), dict[str, Any]()
+    other_spindle = configuration.cnc.opcua.model_copy(update={"nodes": OpcUaNodesConfig(spindle_speed="s=Speed.2")})
+    cnc = configuration.cnc.model_copy(update={"opcua": other_spindle})
+    edited = rewired(configuration, EXCHANGED) if of == "sensors" else configuration.model_copy(update={"cnc": cnc})
+    made = dict[str, Any]()
     for each in (configuration, edited):
         started(each)
         made = made or propose_from_history(each, RetrainingConfig(model="ridge"))
     model = model_from_json(Path(made["path"]).read_text("utf-8"), made["path"])
-    assert model.hyper_parameters[READS] == reads_in_short(model, configuration.reads)
+    read = {f"sensor {i}": each for i, each in configuration.reads.items()}
+    assert model.hyper_parameters[READS] == reads_in_short(model, read | configuration.cnc.reads)
     left_out = r".*; what is older than 20.* is left out"
     with HistoryReader(store) as reader:
         with pytest.raises(DatasetError, match="no 120 minutes in a row" + left_out):
@@ -146,6 +155,7 @@ def started(configuration: Configuration) -> None:
     history = HistoryWriter(configuration.history.path, clock=clock, machine=layout)
     memory = LevelMemory(history, configuration.reads, clock)
     memory.keep(memory.restored(), memory.units)
+    HistoryBackfill(configuration, clock, NoPositions(), StateStore(history, clock))
     history.start()
     history.close()
 
