@@ -45,7 +45,7 @@ class ToolInSpindle:
         came = None not in (count, self._count) and count != self._count
         self._count = self._count if count is None else count
         program_ended = self._named is not None and self._named[0] != self._program
-        if self._named is not None and shown == self.number:
+        if self._named is not None and shown == self.number and not self._others:
             self._named, self._shown = (self._named[0], shown), ()
         elif self._named is not None and shown not in self._shown:
             self._shown = (*self._shown, shown)
@@ -53,8 +53,8 @@ class ToolInSpindle:
             changed = came or shown != (self._named[1] if self._named is not None else self._polled)
             self._polled = shown
             self._named = None if program_ended else self._named
-            if self._named is None and changed:
-                self.begin(shown, estimate, known=gap_s <= TOOL_UNKNOWN_S)
+            if came or (self._named is None and changed):
+                self.begin(self.number if self._named else shown, estimate, known=gap_s <= TOOL_UNKNOWN_S)
         self._keep()
 
     def _begin_with(self, shown: int) -> None:
@@ -91,10 +91,18 @@ class ToolInSpindle:
         return 0 if self._references.sample is None else self._references.sample.program
 
     @property
+    def _others(self) -> tuple[int, ...]:
+        """What polls have shown since the program named its tool that is neither this nor what they showed then."""
+        return tuple(shown for shown in self._shown if self._named and shown not in (self._named[1], self.number))
+
+    @property
     def in_question(self) -> tuple[int, ...]:
-        """The tools of which one is in the spindle, where it is not known which: a control may have shown the next."""
+        """The tools of which one is in the spindle, where it is not known which: a control may have shown the next.
+
+        When it shows the named one again, that one went and came, or is the next.
+        """
         named = self._named
-        if named is None or self._polled is None or self._polled in (named[1], self.number):
+        if named is None or self._polled is None or (self._polled in (named[1], self.number) and not self._others):
             return ()
         return (*self._shown, self._polled, self.number)
 
@@ -106,9 +114,12 @@ class ToolInSpindle:
         """Return why it is not known which tool is in the spindle, None where it is."""
         if not self.in_question:
             return None
+        text = f"the control shows T{self._polled}, and the NC program has named T{self.number}"
+        if self._polled == self.number:
+            text = f"the control has shown T{self._others[-1]} since the NC program named T{self.number}"
         return Inhibit(
             code=InhibitCode.REFERENCE,
-            text=f"the control shows T{self._polled}, and the NC program has named T{self.number}",
+            text=text,
             remedy="let the program name each tool as it comes into the spindle, and read the tool in the spindle, not "
             "the one that is prepared (cnc.focas.tool_macro)",
         )

@@ -2,7 +2,7 @@
 
 import pytest
 from control_rig import Bench, Rig, running
-from nc_requests import requesting_bench, tool_2_set
+from nc_requests import TOOL_CHANGE, ask, requesting_bench, tool_2_set
 
 from config.schema.compensation import ToolTermConfig
 
@@ -82,6 +82,52 @@ async def test_a_tool_that_goes_and_comes_back_between_two_polls_is_known_by_the
         await rig.turn()
         await let_pass(rig, 60.0, 5.0)
         assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(4.0 if came else 14.0, abs=0.11)
+
+
+async def named_tool_1(rig: Rig, bench: Bench) -> None:
+    """The nose warms by 5 K, and the program names the tool that is in the spindle already."""
+    await warmed(rig)
+    ask(bench, 1, TOOL_CHANGE, 0, 1.0)
+    await let_pass(rig, 10.0, 5.0)
+    await let_pass(rig, 60.0, 10.0)
+    assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(14.0, abs=0.11), "4 of the nose, 10 of the tool"
+
+
+@pytest.mark.parametrize("away", [False, True])
+async def test_a_tool_that_the_program_has_named_goes_and_comes_back_too(tmp_path, away):
+    """The program does not name it again, as where a person has looked at its edge."""
+    bench = counting_bench(tmp_path)
+    async with running(bench.rig()) as rig:
+        await named_tool_1(rig, bench)
+        bench.nc.reachable = not away
+        await let_pass(rig, 5.0, 10.0)
+        bench.nc.macros.set(561, 42.0)
+        bench.nc.reachable = True
+        await rig.connected()
+        await let_pass(rig, 60.0, 10.0)
+        assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(4.0, abs=0.11)
+        await let_pass(rig, 60.0, 11.0)
+        assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(6.0, abs=0.11)
+
+
+async def test_another_tool_that_the_program_has_not_named_leaves_the_named_one_unknown_until_it_is_named(tmp_path):
+    """What a control shows may be the next tool: T1 came back, or T7 is in the spindle and T1 is prepared."""
+    bench = expanding_bench(tmp_path)
+    async with running(bench.rig()) as rig:
+        await named_tool_1(rig, bench)
+        for shown in (7, 1):
+            bench.nc.tool_number = shown
+            await let_pass(rig, 300.0, 10.0)
+            assert rig.state == "HOLD" and rig.applied["z"] == pytest.approx(14.0, abs=0.11)
+        assert "has shown T7 since the NC program named T1" in rig.control.memory.reason
+        rig.alive()
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        await let_pass(rig, 60.0, 10.0)
+        assert rig.state == "HOLD" and "has shown T7" in rig.control.memory.reason, "after a restart too"
+        ask(bench, 2, TOOL_CHANGE, 0, 1.0)
+        await let_pass(rig, 60.0, 10.0)
+        assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(4.0, abs=0.11)
 
 
 async def test_a_count_that_is_vacant_for_a_while_tells_nothing(tmp_path):
