@@ -115,7 +115,7 @@ def recordings_from_history(
 def _as_read_now_since_utc_s(reader: HistoryReader) -> float:
     """Return since when the configuration reads of every input what it reads now [s]."""
     gaps, of_control = _levels(reader).get("gaps", ()), _of_control(reader).get("since_utc_s", -np.inf)
-    return max([of_control, *(gap["to_utc_s"] for gap in gaps if gap["from_utc_s"] < BEGINNING_S / 2)])
+    return float(max([of_control, *(gap["to_utc_s"] for gap in gaps if gap["from_utc_s"] < BEGINNING_S / 2)]))
 
 
 def what_is_left_out(reader: HistoryReader, from_utc_s: float) -> str:
@@ -128,10 +128,9 @@ def what_is_left_out(reader: HistoryReader, from_utc_s: float) -> str:
 
 def read_of_history(reader: HistoryReader) -> dict[str, str]:
     """Return what the daemon that wrote the history last read of each input of a model; empty: it did not say."""
-    of_sensors = _levels(reader).get("reads", {})
-    return {f"sensor {sensor_id}": read for sensor_id, read in of_sensors.items()} | _of_control(reader).get(
-        "reads", {}
-    )
+    of_sensors: dict[str, str] = _levels(reader).get("reads", {})
+    of_control: dict[str, str] = _of_control(reader).get("reads", {})
+    return {f"sensor {sensor_id}": read for sensor_id, read in of_sensors.items()} | of_control
 
 
 def _levels(reader: HistoryReader) -> dict[str, Any]:
