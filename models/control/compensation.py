@@ -227,6 +227,7 @@ def _enter(
         Condition.READY: "following the estimate",
         Condition.NONE_WANTED: "switched off",
         Condition.HELD_TOO_LONG: f"held too long: {memory.reason}",
+        Condition.RETREATED: memory.reason,
     }.get(condition, str(condition))
     entered = replace(memory, state=target, since_s=inputs.now_s, reason=reason)
     if memory.state is OutputState.FAULT:

@@ -30,6 +30,7 @@ from playwright.async_api import Browser, Page, async_playwright, expect
 from sloped_machine import TRAVEL_MM, configured, content, proved
 from speed_rig import SAFE, SpeedRig
 
+from daemon.monitor.accounts import write_accounts
 from daemon.monitor.web.serving import serve_monitor
 from daemon.simulation.processes import free_port
 
@@ -344,6 +345,26 @@ async def test_switching_on_takes_the_right_and_a_confirmation(tmp_path):
         await expect(operator.page.locator("#do-disable")).to_be_visible(timeout=PATIENCE_MS)
         turning.cancel()
         assert any(bench.rig.snapshots.control.wanted)
+
+
+async def test_a_second_click_asks_once_and_a_login_that_ended_is_asked_for_again(tmp_path):
+    users = accounts_file(tmp_path, anna="operator")
+    async with monitor(tmp_path, users=users) as bench, chromium() as browser:
+        await bench.rig.active()
+        seen = await watched(browser, f"http://127.0.0.1:{bench.port}/")
+        await log_in(seen, "anna")
+        asked: list[str] = []
+        seen.page.on("request", lambda request: asked.append(request.url) if request.method == "POST" else None)
+        await seen.page.locator("#do-disable").click()
+        await seen.page.locator("dialog button[type=submit]").dblclick()
+        turning = asyncio.create_task(keep_following(bench))
+        await expect(seen.page.locator("#state")).to_contain_text("OFF", timeout=PATIENCE_MS)
+        turning.cancel()
+        assert [url.rsplit("/", 1)[1] for url in asked] == ["disable"]
+        await seen.page.locator("#do-enable").click()
+        write_accounts(users, {})
+        await seen.page.locator("dialog button[type=submit]").click()
+        await expect(seen.page.locator("dialog input[name=password]")).to_be_visible(timeout=PATIENCE_MS)
 
 
 async def test_an_acknowledgement_says_that_the_axes_follow_again_and_they_do(tmp_path):

@@ -142,6 +142,11 @@ function confirm({ question, explanation, yes, danger = false, carry }) {
       await carry();
       return true;
     } catch (error) {
+      if (error instanceof Refused && error.status === 401) { // the log-in has ended meanwhile
+        $("ask").close();
+        login();
+        return false;
+      }
       said.textContent = error.message;
       return false;
     }
@@ -156,7 +161,10 @@ function dialog(heading, content, yes, carry, danger = false) {
       h("button", { type: "submit", class: danger ? "danger" : "" }, yes)));
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
+    if (form.ariaBusy) return; // a second click
+    form.ariaBusy = "true";
     if (await carry()) ask.close();
+    form.ariaBusy = null;
   });
   ask.replaceChildren(form);
   ask.showModal();
