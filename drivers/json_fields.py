@@ -12,12 +12,16 @@ QUOTED = 40
 
 
 def readings_in(content: Any, fields: Mapping[int | str, str]) -> dict[int | str, float | NoReading]:
-    """Return the numbers of a JSON value by the input's key: `a.b` is b within a, the empty field the value."""
+    """Return the numbers of a JSON value by the input's key: `a.b` is b within a, `a.0` its first, '' the value."""
     found: dict[int | str, float | NoReading] = {}
     for key, field in fields.items():
         value = content
-        for step in field.split(".") if field else ():
-            value = value.get(step) if isinstance(value, dict) else None
+        whole = isinstance(content, dict) and field in content  # a key may have a dot in it
+        for step in [field] if whole else field.split(".") if field else ():
+            if isinstance(value, list) and step.isdecimal():
+                value = dict(enumerate(value)).get(int(step[:9]))
+            else:
+                value = value.get(step) if isinstance(value, dict) else None
         if value is not None:
             found[key] = number_of(value)
     return found

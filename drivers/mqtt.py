@@ -29,6 +29,7 @@ QUOTED = 80
 NAMED = 8
 REFUSED = 0x80
 """Answers to a subscription are refusals from here on."""
+RETAINED = NoReading(reason=Reason.NOT_RECEIVED, why="was sent a retained message alone, which does not count")
 
 logging.getLogger("mqtt").setLevel(logging.CRITICAL + 1)  # what matters is raised here
 
@@ -44,7 +45,6 @@ class MqttSource(PushedSource):
         self._topics: dict[str, list[MqttTopic]] = {}
         for each in self._config.every_input:
             self._topics.setdefault(each.topic, []).append(each)
-        self._retained = 0
 
     async def follow(self) -> None:
         """Connect, subscribe and take what comes; raises LinkError when the broker is lost."""
@@ -112,19 +112,21 @@ class MqttSource(PushedSource):
             raise FatalDriverError(f"{self._where}: ca_certificate {path} cannot be used: {error}") from error
 
     def _take(self, message: aiomqtt.Message) -> None:
-        if message.retain:
-            self._retained += 1
-            return
         here = self._topics.get(str(message.topic), [])
-        for key, reading in numbers_in(message.payload, {each.key: each.field for each in here}).items():
-            self.put(key, reading)
+        found = {} if message.retain else numbers_in(message.payload, {each.key: each.field for each in here})
+        for each in here:
+            if each.key in found:
+                self.put(each.key, found[each.key])
+            else:
+                self.lacking[each.key] = RETAINED if message.retain else _without(each.field)
 
     def silent(self) -> str:
         """Return what to check when no message comes."""
-        retained = f"; {self._retained} retained messages came, which do not count" if self._retained else ""
+        came = [f"; {e.in_words} {self.lacking[e.key].why}" for e in self._source.inputs if e.key in self.lacking]
         return (
-            f"broker {self._config.host}:{self._config.port} has passed on no message for three cycle periods "
-            f"({self._source.cycle_period_s:g} s each){retained}: check that the devices publish, and `topic`"
+            f"broker {self._config.host}:{self._config.port} has passed on no number for three cycle periods "
+            f"({self._source.cycle_period_s:g} s each){''.join(came[:NAMED])}: check `topic`, and that the devices "
+            "publish"
         )
 
 
@@ -158,11 +160,16 @@ def fields_of(payload: Any) -> dict[str, float]:
     found: dict[str, float] = {}
     while waiting:
         field, value = waiting.pop()
-        if isinstance(value, dict):
-            waiting += [(f"{field}.{key}" if field else key, inner) for key, inner in value.items()]
+        if isinstance(value, dict | list):
+            within = value.items() if isinstance(value, dict) else enumerate(value)
+            waiting += [(f"{field}.{key}" if field else str(key), inner) for key, inner in within]
         elif isinstance(number := number_of(value), float) and math.isfinite(number):
             found[field] = number
     return found
+
+
+def _without(field: str) -> NoReading:
+    return NoReading(reason=Reason.NOT_RECEIVED, why=f"was sent a message without {field!r}: correct `field`")
 
 
 def _unreadable(content: Any) -> NoReading:

@@ -40,6 +40,8 @@ class PushedSource(RowSource):
         self._row_s = -math.inf
         self._dropped = 0
         self._single: dict[int | str, float | NoReading] = {}
+        self.lacking: dict[int | str, NoReading] = {}
+        """Why what came for a sensor held none of its numbers; said where nothing else came for it."""
         self._set: Readings | None = None
         self._single_since: Instant | None = None
         self._single_from_s = self._newest_s = -math.inf
@@ -136,8 +138,8 @@ class PushedSource(RowSource):
             rows.append(self._row(readings, measured))
         since = self._single_since
         if since is not None and (self._left_of_single_real_s(since) <= 0 or (ended and self._whole)):
-            single = self._single if self._set is None else self._of_one_device(self._set)
-            self._single, self._set, self._single_since = {}, None, None
+            single = self.lacking | self._single if self._set is None else self._of_one_device(self._set)
+            self._single, self.lacking, self._set, self._single_since = {}, {}, None, None
             self._row_s = max(since.monotonic_s, self._single_from_s)
             rows.append(self._row(single, since))
         return rows

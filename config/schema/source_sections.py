@@ -185,7 +185,9 @@ class ProgramField(Measured):
     """One field of what a program writes."""
 
     field: str = Field(
-        min_length=1, description="key of its number in the JSON object; `a.b` is b within a", examples=["t1"]
+        min_length=1,
+        description="key of its number in the JSON object; `a.b` is b within a, `a.0` the first of a list",
+        examples=["t1"],
     )
 
 
@@ -221,7 +223,9 @@ class MqttTopic(Measured):
         pattern=TOPIC_PATTERN, description="topic of its messages, without wildcards", examples=["machine/column/t1"]
     )
     field: str = Field(
-        "", description="key of its number in the message's JSON object, `a.b` is b within a; empty: the message itself"
+        "",
+        description="key of its number in the message's JSON object, `a.b` is b within a, `a.0` the first of a list; "
+        "empty: the message itself",
     )
 
 

@@ -215,9 +215,10 @@ class RowReader:
         if len(found) == 1:
             return found[0]
         what = "no column" if not found else f"{len(found)} columns"
+        wrong = "`encoding`" if "\ufffd" in "".join(titles) else "the columns"
         raise UnreadableFileError(
             f"{self._file}:{number}: the header has {what} {column!r}; it has {', '.join(map(repr, titles))}. "
-            "Correct the columns in the configuration, or the logger's channel names"
+            f"Correct {wrong} in the configuration, or the logger's channel names"
         )
 
 

@@ -215,6 +215,10 @@ async def test_a_header_that_does_not_fit_is_a_lost_link_that_names_the_columns(
     twice = [{"name": "Z", "column": "Z9"}]
     with pytest.raises(LinkError, match="the header has 2 columns 'Z9'"):
         _ = [sample async for sample in failing(DisplacementCsvSource(config(path, channels=twice), SystemClock()))]
+    path.write_text("time,Y1,Z1 µm\n" + row(0), encoding="cp1252")
+    micro = [{"name": "Z", "column": "Z1 µm"}]
+    with pytest.raises(LinkError, match=r"no column 'Z1 µm'; it has .* Correct `encoding` in the configuration"):
+        _ = [sample async for sample in failing(DisplacementCsvSource(config(path, channels=micro), SystemClock()))]
     path.write_text("Zeit,Y1,Z1\n" + row(0))
     with pytest.raises(LinkError, match="none of its 2 lines starts with the header 'time'"):
         _ = [sample async for sample in failing(DisplacementCsvSource(config(path), SystemClock()))]

@@ -31,7 +31,7 @@ from drivers.contract import LinkError
 from drivers.displacement.logger import LoggerSource
 from drivers.json_fields import readings_in
 from drivers.kernel import KernelSource
-from drivers.mqtt import MqttSource, numbers_in
+from drivers.mqtt import MqttSource, fields_of, numbers_in
 from drivers.opcua.tags import reading_of
 from drivers.process import ProcessSource
 from drivers.readings import NoReading, Row, judged
@@ -332,6 +332,53 @@ def test_a_number_is_one_however_a_device_writes_it(payload: bytes) -> None:
     }
 
 
+def test_a_number_is_found_in_lists_and_under_keys_with_dots() -> None:
+    """As boxes with several inputs publish theirs."""
+    content = {"io": {"ai": [{"value": 21.5}, {"value": 22.5}]}, "port[1].pdin": 23.5, "t": [24.5]}
+    fields = {1: "io.ai.1.value", 2: "port[1].pdin", 3: "t.0", 4: "t.1", 5: "t.-1", 6: "t", 7: "io.0"}
+    found = readings_in(content, fields)
+    assert [found.get(key) for key in (1, 2, 3, 4, 5, 7)] == [22.5, 23.5, 24.5, None, None, None]
+    assert isinstance(found[6], NoReading) and "correct `field`" in found[6].why
+    assert fields_of(json.dumps(content).encode()) == {
+        "io.ai.0.value": 21.5,
+        "io.ai.1.value": 22.5,
+        "port[1].pdin": 23.5,
+        "t.0": 24.5,
+    }
+    assert all(
+        readings_in(content, {1: field}) == {1: n} for field, n in fields_of(json.dumps(content).encode()).items()
+    )
+    assert numbers_in(b"[21.5, 22.5]", {1: "1"}) == {1: 22.5}
+
+
+async def test_messages_that_hold_no_number_of_a_sensor_are_told_by_the_key_to_correct(
+    broker: int, tmp_path: Path
+) -> None:
+    """A sensor with a misspelt `field` was said to be silent, and its devices to be checked."""
+    there = {**SENSOR, "id": 1, "topic": "m/1"}
+    misspelt = {**SENSOR, "topic": "m/7", "field": "T"}
+    async with aiomqtt.Client("127.0.0.1", broker, username="toolpoint", password="right") as device:
+        for sensors, words in (
+            ([there, misspelt], "source s: sensor 7 (Bed): was sent a message without 'T': correct `field`"),
+            (
+                [misspelt],
+                r"no number .*; sensor 7 \(Bed\) was sent a message without 'T': correct `field`",
+            ),
+        ):
+            opened = subscribed(broker, tmp_path, "right", *sensors, period_s=0.5)
+            waiting = asyncio.ensure_future(following(opened.cycles()))
+            while not waiting.done():
+                await device.publish("m/1", "21.5")
+                await device.publish("m/7", '{"t": 21.5}')
+                await asyncio.sleep(0.05)
+            if len(sensors) == 2:
+                assert waiting.result().degc[0] == 21.5 and waiting.result().faults == (words,)
+            else:
+                with pytest.raises(LinkError, match=words):
+                    waiting.result()
+            await opened.close()
+
+
 class StillClock(SystemClock):
     """A clock that a test moves."""
 
@@ -423,11 +470,12 @@ def broker(tmp_path: Path) -> Iterator[int]:
         yield port
 
 
-def subscribed(port: int, folder: Path, password: str) -> MqttSource:
+def subscribed(port: int, folder: Path, password: str, *sensors: dict[str, Any], period_s: float = 0.05) -> MqttSource:
     secret = folder / "secret"
     secret.write_text(password + "\n")
     section = {"host": "127.0.0.1", "port": port, "user_name": "toolpoint", "password_file": str(secret)}
-    return MqttSource(source("mqtt", section, {**SENSOR, "topic": "m/7"}, period_s=0.05), SystemClock())
+    sensors = sensors or ({**SENSOR, "topic": "m/7"},)
+    return MqttSource(source("mqtt", section, *sensors, period_s=period_s), SystemClock())
 
 
 @pytest.mark.wires
@@ -454,7 +502,7 @@ CONNACK, SUBACK = b"\x20\x02\x00\x00", b"\x90%c\x00\x01"
     [
         ([], "timed out"),
         ([CONNACK], "timed out"),
-        ([CONNACK, SUBACK % 3 + b"\x00"], "has passed on no message for three cycle periods"),
+        ([CONNACK, SUBACK % 3 + b"\x00"], "has passed on no number for three cycle periods"),
         ([CONNACK, SUBACK % 3 + b"\x80"], "refuses 'm/7': let `user_name` read it, or correct `topic`"),
         ([b"HTTP/1.1 400 Bad Request\r\n\r\n"], "check address, port"),
     ],
