@@ -1,6 +1,7 @@
 """`toolpoint check`: checks everything that the configuration names."""
 
 import asyncio
+import re
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -174,10 +175,21 @@ async def _input(configuration: Configuration, line: TemperatureInput, clock: Cl
                     raise DriverError(f"{good} of {len(cycle.degc)} sensors answered: {'; '.join(cycle.faults[:3])}")
                 exposed = line.connection.exposed if isinstance(line, SourceEntry) else ""
                 found = f"{good} sensors, {np.nanmin(cycle.degc):.1f} to {np.nanmax(cycle.degc):.1f} degC"
-                return f"{found}; {exposed}" if exposed else found
+                return "; ".join(filter(None, (found, exposed, passing_name(line))))
     finally:
         await source.close()
     raise DriverError("it ended")
+
+
+def passing_name(line: TemperatureInput) -> str:
+    """Return what to do about a port's name that goes to another adapter when several are plugged in anew."""
+    port = line.port if isinstance(line, LineConfig) else getattr(line.connection, "serial_port", None)
+    if port is None or re.fullmatch(r"/dev/tty(USB|ACM)\d+", str(port)) is None:
+        return ""
+    return (
+        f"{port} goes to the adapter that is found first, so it may be another one after a start or a re-plug: "
+        "name it by /dev/serial/by-id/... or by-path"
+    )
 
 
 async def _displacements(configuration: Configuration, each: registry.DisplacementInput, clock: Clock) -> str:

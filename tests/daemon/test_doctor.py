@@ -11,8 +11,10 @@ from config.loader import load_configuration
 from config.machines import shipped_file
 from config.sample import sample_configuration
 from config.schema.cnc_drivers import MtconnectConfig
+from config.schema.modbus import ModbusConfig
+from config.schema.source_drivers import SourceConfig
 from daemon.checkup.computer import OUR_PACKAGES, examine
-from daemon.checkup.machine import preflight
+from daemon.checkup.machine import passing_name, preflight
 from drivers.clock import SystemClock
 from drivers.sim.wires import mtconnect_agent
 
@@ -50,6 +52,16 @@ async def test_a_line_whose_port_is_missing_is_named_once() -> None:
             assert finding.detail.startswith("port ") and not finding.passed
             return
     pytest.fail("no line was tried")
+
+
+def test_a_port_s_name_that_may_go_to_another_adapter_is_told() -> None:
+    """Two lines as long as each other would exchange all their temperatures."""
+    line = load_configuration(shipped_file("cfrpmt.yaml")).temperatures.lines[0]
+    for port, told in (("/dev/ttyUSB0", True), ("/dev/ttyACM11", True), ("/dev/ttyS0", False), (line.port, False)):
+        assert ("by-path" in passing_name(line.model_copy(update={"port": port}))) == told
+    box = ModbusConfig(serial_port="/dev/ttyUSB1", sensors=[{"id": 1, "component": "Bed", "address": 0}])
+    source = SourceConfig(name="box", driver="modbus", modbus=box)
+    assert passing_name(source).startswith("/dev/ttyUSB1 ")
 
 
 @pytest.mark.wires
