@@ -289,6 +289,11 @@ class OpcUaTag(Measured):
         description="identifier of its tag in the namespace: s=text or i=number",
         examples=["s=Temperature.1"],
     )
+    element: int | None = Field(
+        None,
+        ge=0,
+        description="place of its number in a tag that is an array, counted from 0; none: the tag is a number",
+    )
 
 
 class OpcUaTagSensorConfig(OpcUaTag, SourceSensorConfig):

@@ -17,7 +17,7 @@ from config.schema.source_drivers import SourceEntry
 from config.schema.source_sections import OpcUaServer
 from drivers.clock import Clock
 from drivers.contract import FatalDriverError, LinkError
-from drivers.json_fields import number_of
+from drivers.json_fields import QUOTED, number_of
 from drivers.opcua.bounded import bounded_client
 from drivers.opcua.certificates import REFUSALS, load_credentials
 from drivers.opcua.cnc import (
@@ -186,7 +186,7 @@ class OpcUaTagSource(PolledSource):
         """Return the number of each tag; raises LinkError when the server is lost."""
         answers = await self._session.values(self._nodes)
         return {
-            each.key: reading_of(answer, each.node)
+            each.key: reading_of(answer, each.node, each.element)
             for each, answer in zip(self._config.every_input, answers, strict=True)
         }
 
@@ -195,7 +195,8 @@ class OpcUaTagSource(PolledSource):
         await self._session.close()
 
 
-def reading_of(answer: ua.DataValue, node: str) -> float | NoReading:
+def reading_of(answer: ua.DataValue, node: str, element: int | None = None) -> float | NoReading:
+    """Return the number of a tag, of an array that of one element, or why there is none."""
     status = answer.StatusCode
     if status is not None and int(status.value) & NOT_MEASURED:
         if status.name in ("BadNodeIdUnknown", "BadNodeIdInvalid"):
@@ -206,4 +207,8 @@ def reading_of(answer: ua.DataValue, node: str) -> float | NoReading:
     value = None if answer.Value is None else answer.Value.Value
     if value is None:
         return NoReading(reason=Reason.NOT_RECEIVED, why=f"has a tag {node!r} without a value")
-    return number_of(value, "node")
+    if element is None:
+        return number_of(value, "element" if isinstance(value, list) else "node")
+    if not isinstance(value, list):
+        return NoReading(reason=Reason.UNREADABLE, why=f"holds no array but {str(value)[:QUOTED]!r}: correct `element`")
+    return number_of(value[element] if element < len(value) else f"{len(value)} elements", "element")

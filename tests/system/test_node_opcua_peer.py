@@ -35,6 +35,7 @@ from drivers.contract import DriverError, FatalDriverError, LinkError, NotSentEr
 from drivers.opcua.cnc import OpcUaCnc
 from drivers.opcua.tags import OpcUaTagSource
 from drivers.sim.wires.opcua_server import SimulatedCncServer
+from models.quality import Reason
 from models.records import CncMode, CncRun
 
 PEER = Path(__file__).resolve().parent / "node_peer"
@@ -230,8 +231,9 @@ async def test_variables_of_other_types_are_read_and_written_in_their_own(node_s
     await cnc.close()
 
 
-def tags_of(endpoint: str, security: Any) -> OpcUaTagSource:
-    sensors = [{"id": 1, "component": "Motor", "node": "s=SpindleMotorTemperature"}]
+def tags_of(endpoint: str, security: Any, *tags: dict[str, Any]) -> OpcUaTagSource:
+    asked = tags or ({"node": "s=SpindleMotorTemperature"},)
+    sensors = [{"id": number, "component": "Motor", **tag} for number, tag in enumerate(asked, start=1)]
     section = {"endpoint": endpoint, "namespace_uri": NAMESPACE, "security": security, "timeout_s": 20.0}
     content = {"name": "s", "driver": "opcua", "cycle_period_s": 0.1, "opcua": section | {"sensors": sensors}}
     return OpcUaTagSource(SourceConfig.model_validate(content), SystemClock())
@@ -262,6 +264,22 @@ async def test_a_source_is_told_why_it_gets_no_session(node_server: NodeServer, 
     second = tags_of(node_server.endpoint, keys.client_config()).cycles()
     assert (await anext(second)).degc.tolist() == [31.5]
     await second.aclose()
+
+
+async def test_the_numbers_of_an_array_are_read_by_their_places(node_server: NodeServer, keys: Keys) -> None:
+    """As controls hold the temperatures of several inputs in one variable."""
+    array = {"node": "s=Temperatures"}
+    asked = [array | {"element": 1}, array | {"element": 0}, array | {"element": 2}, array]
+    one = {"node": "s=SpindleMotorTemperature", "element": 0}
+    cycles = tags_of(node_server.endpoint, keys.client_config(), *asked, one).cycles()
+    cycle = await anext(cycles)
+    assert cycle.degc[:2].tolist() == [22.5, 21.5] and list(cycle.reason[2:]) == [Reason.UNREADABLE] * 3
+    assert cycle.faults == (
+        "source s: sensor 3 (Motor): holds no number but '2 elements': correct `element`",
+        "source s: sensor 4 (Motor): holds no number but '[21.5, 22.5]': correct `element`",
+        "source s: sensor 5 (Motor): holds no array but '31.5': correct `element`",
+    )
+    await cycles.aclose()
 
 
 @pytest.mark.parametrize("mode", ["Sign", "SignAndEncrypt"])

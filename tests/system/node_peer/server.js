@@ -41,6 +41,11 @@ function addVariables(addressSpace) {
     const get = () => new opcua.Variant({ dataType: opcua.DataType.Double, value: read() });
     add(name, opcua.DataType.Double, { get }, "CurrentRead");
   }
+  const degc = { dataType: opcua.DataType.Float, arrayType: opcua.VariantArrayType.Array, value: [21.5, 22.5] };
+  namespace.addVariable({
+    componentOf: folder, browseName: "Temperatures", nodeId: "s=Temperatures", dataType: degc.dataType, valueRank: 1,
+    minimumSamplingInterval: SAMPLING_MS, value: { get: () => new opcua.Variant(degc) },
+  });
   const values = new Map();
   for (const number of [...options.macros, ...options.echo]) {
     const dataType = opcua.DataType[options.macroTypes[number] || "Double"];
