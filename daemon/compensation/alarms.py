@@ -2,10 +2,13 @@
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from config.schema.compensation import OutputConfig
 from daemon.cnc.macro_block import Echo
 from models.control.state import Inhibit, OutputMemory
-from models.records import CncRun, CncSample, OutputState
+from models.records import CncRun, CncSample, CompensationCommand, OutputState
+from models.thermal.estimation import UNSURE_UM
 
 REFUSALS = 2
 """A single torn read is no alarm: the block was being written."""
@@ -45,11 +48,27 @@ def alarm_of(
     guard: GuardWatch,
     config: OutputConfig,
     inhibit: Inhibit | None,
+    command: CompensationCommand | None = None,
 ) -> str:
     """Return the alarm that the output's state calls for, '' when there is none."""
     if memory.state is OutputState.FAULT:
         return f"FAULT: {memory.reason}; `toolpoint acknowledge` clears it"
-    return "; ".join(_alarms(memory, echo, now_s, guard, config, inhibit))
+    beyond = _beyond_bounds(memory, command) if command is not None else ()
+    return "; ".join([*_alarms(memory, echo, now_s, guard, config, inhibit), *beyond])
+
+
+def _beyond_bounds(memory: OutputMemory, command: CompensationCommand) -> Iterator[str]:
+    """Yield on which axes the estimate asks for more than may be applied: the tool is not where it should be."""
+    if memory.state is not OutputState.ACTIVE:
+        return
+    short_um = np.abs(command.requested_um - command.compensation_um)
+    for axis, um, wanted in zip(command.axes, short_um, memory.wanted, strict=True):
+        if wanted and um > UNSURE_UM and f"{axis}:bound" in command.limits_hit:
+            yield (
+                f"axis {axis} has reached its bound: it stands {um:.1f} um short of what the estimate asks for; take "
+                "the offset out (`toolpoint disable --zero`), position the work anew and switch on, or see why it goes "
+                "so far"
+            )
 
 
 def _alarms(

@@ -256,7 +256,15 @@ class ControlTask:
     def _record(self, before: OutputMemory, after: OutputMemory, inputs: OutputInputs) -> None:
         inhibit = follow_inhibit(after, inputs, self.limits)
         echo = self.session.echo if self.session is not None else None
-        alarm = alarm_of(after, echo, now_s=inputs.now_s, guard=self.guard_watch, config=self._output, inhibit=inhibit)
+        alarm = alarm_of(
+            after,
+            echo,
+            now_s=inputs.now_s,
+            guard=self.guard_watch,
+            config=self._output,
+            inhibit=inhibit,
+            command=self.command,
+        )
         record_changes(self.journal, before, after, alarm)
         self._startup.keep(after.wanted)
 

@@ -70,6 +70,18 @@ async def test_slew_rate_and_bound_hold_whatever_is_estimated(rig, bench):
             before = now
 
 
+async def test_an_axis_that_the_bound_keeps_from_where_the_estimate_is_says_so(rig):
+    """Over a day of positionings that move nothing the offset grows; beyond the bound the tool is wrong by the rest."""
+    await rig.active()
+    await rig.follow(0.0, -30.8, 130)
+    assert rig.state == "ACTIVE" and rig.control.journal.alarm == ""
+    await rig.follow(0.0, -34.0, 4)
+    assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(30.0, abs=0.11)
+    assert "axis z has reached its bound: it stands 4.0 um short" in rig.control.journal.alarm
+    await rig.follow(0.0, -29.0, 8)
+    assert rig.control.journal.alarm == ""
+
+
 async def test_nan_never_leaves(rig, bench):
     await rig.active()
     await rig.follow(3.0, -3.0, 10)
