@@ -20,7 +20,7 @@ from daemon.history.cursors import Cursor, Position
 from daemon.sinks.contract import Progress
 from daemon.sinks.database import EPOCH, Database, time_of
 from daemon.sinks.outbox import DAY_MS, STREAMS, Batch, Outbox
-from daemon.sinks.postgresql_refusals import name_taken
+from daemon.sinks.postgresql_refusals import LESS_THAN_BEFORE, name_taken
 from daemon.sinks.row_messages import JSON_COLUMNS
 from models.records import WriteOutcome
 
@@ -71,9 +71,13 @@ RETURNING (
         other.generation NOT IN ('', deliveries.generation)
         OR (other.computer <> deliveries.computer AND '' NOT IN (other.computer, deliveries.computer))
     )
+), EXISTS (
+    SELECT FROM deliveries AS before WHERE before.machine = deliveries.machine AND before.stream = deliveries.stream
+    AND before.generation = %s AND before.last_row >= %s AND before.last_chunk >= %s
 )
 """
-"""Says how many streams of this machine another store or computer has brought in the last minute."""
+"""Says how many streams of this machine another store or computer has brought in the last minute, and whether the
+database still was as far as it is known to have been."""
 
 
 class PostgresqlSink:
@@ -84,20 +88,25 @@ class PostgresqlSink:
         self._machine, self._computer = machine, this_computer()
         where = f"sink {config.name}: database {config.place}"
         self._database = Database(config.postgresql, where, f"toolpoint sink {config.name}")
+        self._there: dict[str, tuple[str, int, int]] = {}
+        """By stream: generation, row and chunk that the database has come to."""
 
     def open(self, cursor: Cursor) -> Mapping[str, Position]:
         """Connect, bring the schema up to date, and return how far the database itself has come."""
         self._database.open()
         try:
             found = self._database.connection.execute(
-                "SELECT stream, last_row, last_chunk, computer IN ('', %s) FROM deliveries "
-                "WHERE machine = %s AND generation = %s",
-                (self._computer, self._machine, cursor.generation),
+                "SELECT stream, computer IN ('', %s), generation, last_row, last_chunk FROM deliveries "
+                "WHERE machine = %s",
+                (self._computer, self._machine),
             ).fetchall()
         except (psycopg.Error, OSError) as error:
             raise self._database.refused(error) from error
         positions = {}
-        for stream, row, chunk, own in found:
+        for stream, own, generation, row, chunk in found:
+            self._there[stream] = generation, row, chunk
+            if generation != cursor.generation:
+                continue
             known = Position(row=row, chunk=chunk) if own else cursor.positions.get(stream, Position())
             positions[stream] = Position(row=min(row, known.row), chunk=min(chunk, known.chunk))
         return positions
@@ -129,7 +138,13 @@ class PostgresqlSink:
             stored = self._database.put(stream, rows, {row[0] // DAY_MS for row in batch.rows})
             position = batch.after.row, batch.after.chunk, EPOCH + timedelta(seconds=batch.newest_utc_s)
             place = self._machine, stream.name, generation, self._computer
-            others = connection.execute(DELIVERED, (*place, *position)).fetchone()
-            if others != (0,):
+            before = self._there.get(stream.name)
+            told = connection.execute(DELIVERED, (*place, *position, *(before or ("", 0, 0)))).fetchone()
+            assert told is not None
+            others, is_as_far = told
+            if others:
                 raise self._database.problem(name_taken(self._machine))
+            if before is not None and not is_as_far:
+                raise self._database.problem(LESS_THAN_BEFORE)
+        self._there[stream.name] = generation, batch.after.row, batch.after.chunk
         return stored

@@ -42,6 +42,12 @@ ALTERED = (
 """What a database says whose tables are not as the schema made them."""
 
 
+LESS_THAN_BEFORE = (
+    "it has less than it had while this sink was connected: it was restored, or toolpoint.deliveries was altered; what "
+    "it lacks is sent again"
+)
+
+
 def refusal(error: Exception, config: PostgresqlConfig) -> str:
     """Return what went wrong, and what to do."""
     text = " ".join(str(error).split()) or type(error).__name__

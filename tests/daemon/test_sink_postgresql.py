@@ -250,6 +250,43 @@ def a_minute_later(server: Server) -> None:
         connection.execute("UPDATE toolpoint.deliveries SET delivered = delivered - interval '1 minute'")
 
 
+@pytest.mark.parametrize("generation", ["as it was", "of a store before"])
+def test_a_database_that_is_restored_while_the_sink_is_connected_gets_again_what_it_lost(
+    server: Server, tmp_path: Path, generation: str
+) -> None:
+    """As `pg_restore --clean` and COPY do, which end no connection."""
+    store, stop, problems = tmp_path / "h.sqlite", threading.Event(), []
+    fill(store, hours=0.5)
+    send(server, tmp_path, store)
+    copies = {name: f"copy_of_{name}" for name in (*counts(server), "deliveries") if name != "references"}
+    with server.connection() as connection:
+        for name, copy in copies.items():
+            connection.execute(f"CREATE TEMP TABLE {copy} AS TABLE toolpoint.{name}")
+        if generation == "of a store before":
+            connection.execute("UPDATE copy_of_deliveries SET generation = 'before'")
+        fill(store, start_s=EPOCH_S + 1800.0, hours=0.5)
+
+        def wait(_duration_s: float) -> None:
+            problems.append(runner.cursor.problem)
+            if len(problems) == 1:
+                assert counts(server)["cnc"] == 12
+                for name, copy in copies.items():
+                    connection.execute(f"DELETE FROM toolpoint.{name}")
+                    connection.execute(f"INSERT INTO toolpoint.{name} SELECT * FROM {copy}")
+                a_minute_later(server)
+                fill(store, start_s=EPOCH_S + 3600.0, hours=0.5)
+            if len(problems) > 5:
+                stop.set()
+
+        runner = SinkRunner(section(server, tmp_path), store, MACHINE, stop, wait=wait)
+        runner.run()
+    assert runner.cursor.problem == "" and any("it has less than it had" in problem for problem in problems)
+    found = counts(server)
+    assert (found["temperatures"], found["estimates"], found["cnc"], found["events"]) == (36, 18, 18, 18), (
+        "each row once"
+    )
+
+
 def test_two_machines_of_one_name_do_not_mix_their_rows(server: Server, tmp_path: Path) -> None:
     first, second = tmp_path / "1.sqlite", tmp_path / "2.sqlite"
     for store in (first, second):
