@@ -148,7 +148,7 @@ def _not_resumed(
     gap_s, now = away_s(left, sample), seen_of(sample, rules)
     if now.sequence_number in rules.sequence_numbers and now.sequence_number != left.seen.sequence_number:
         return "the program stands at the positioning of the work, which began while the daemon was away"
-    if left.seen.positioning_count != now.positioning_count and not record.by_handshake:
+    if left.seen.positioning_count != now.positioning_count:
         return "the program has counted a positioning while the daemon was away"
     return may_be_missed(left.seen, now, gap_s, rules, by_handshake=record.by_handshake)
 

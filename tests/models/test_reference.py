@@ -454,8 +454,10 @@ def test_without_the_handshake_a_restart_while_the_program_ran_takes_nothing_up(
     assert memory.in_force is None and "may have been missed" in said(effects)[0]
 
 
-def test_a_positioning_that_was_counted_during_a_short_restart_is_none_that_the_reference_knows():
-    memory, _ = counted(polled(in_force(), sample(10.5, macros={560: 4.0}))[0])
+@pytest.mark.parametrize("handshake", [False, True])
+def test_a_positioning_that_was_counted_during_a_short_restart_is_none_that_the_reference_knows(handshake):
+    """Also where the one before was asked for: a program may ask for one and pass its block for the other."""
+    memory, _ = counted(polled(in_force(handshake=handshake), sample(10.5, macros={560: 4.0}))[0])
     for number, state in ((4.0, VALID), (5.0, ENDED)):
         start = ReferenceMemory(sample=sample(11.0, macros={560: number}))
         memory = replace(memory, sample=sample(10.5, macros={560: 4.0}), state=VALID)
