@@ -5,7 +5,7 @@ and named, never guessed: a wrong column in a model is worse than a missing one.
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import groupby, pairwise
@@ -16,16 +16,21 @@ import yaml
 
 from config.recordings.column_units import RPM_PER_UNIT, TIMES, unit_in, unit_of
 from config.recordings.recording_map import RecordingMap, are_days, fits
+from models.recordings.plausibility import HIGHEST_DEGC, LOWEST_DEGC
 
-_DATE = re.compile(r"\b(date|datum|tag|day)\b|日付|年月日")
+_DATE = re.compile(r"\b(date|datum|tag|day|data|dato|fecha)\b|日付|年月日")
 _TIME = re.compile(
-    r"\b(time|\w*zeit|timestamp|zeitstempel|datetime|utc|clock|t|temps|tiempo|elapsed|minut(e|en|es|os)|sec(ond)?s?|sek(unden?)?)\b"
-    r"|日時|時刻|時間"
+    r"\b(time|\w*zeit|timestamp|zeitstempel|datetime|utc|clock|t|temps|tiempo|tempo|tijd|elapsed|minut(e|en|es|os)|sec(ond)?s?|sek(unden?)?)\b"
+    r"|\b(heure|hora|ora|orario)\b|日時|時刻|時間"
 )
+_IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 _NUMBERED_T = re.compile(r"t[ _]?\d")
 """A temperature: where no column is the time, none of these is."""
-_SPEED = re.compile(r"rpm|1/min|min-1|min\^-1|u/min|r/min|drehzahl|spindle.?speed|speed|回転")
-_OF_SPINDLE = re.compile(r"spind|drehzahl|主軸|rpm|1/min|u/min")
+_SPEED = re.compile(
+    r"rpm|1/min|min-1|min\^-1|u/min|r/min|drehzahl|spindle.?speed|speed|回転"
+    r"|\b(giri|tr|tours?|rev|obr|ot|omw|varv|vueltas?)\s*/\s*min|\bgiri\b|vitesse|velocidad|velocit|toerental|varvtal"
+)
+_OF_SPINDLE = re.compile(r"spind|drehzahl|主軸|rpm|/\s*min|mandr|broche|husillo")
 _NO_TURNS = re.compile(r"%|[\[(]\s*m{0,2}/\s*(s|min)\b")
 """A load, a feed and a draught of air have a speed, too."""
 _DEGC = re.compile(r"°\s*c\b|deg\s*_?c\b|℃|\[c\]|\(c\)|celsius|grad c")
@@ -124,8 +129,7 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
     written = columns
     columns = {name: ["" if text in missing else text for text in texts] for name, texts in columns.items()}
     numbers = [name for name, texts in columns.items() if _numbers(texts)]
-    of_time = [name for name, text in zip(header, rows[0], strict=False) if unit_of(text) in TIMES] if unit_row else []
-    keys |= _time_keys(columns, described, of_time, notes)
+    keys |= _time_keys(columns, described, notes)
     taken = {keys.get("time"), keys.get("date")}
     kinds = {name: _kind(described[name]) for name in numbers if name not in taken}
     speeds = [name for name, kind in kinds.items() if kind == "speed"]
@@ -135,10 +139,12 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
         if (unit := unit_in(described[speeds[0]])) in RPM_PER_UNIT and unit != "1/min":
             keys["speed_unit"] = unit
         notes += [f"{len(speeds)} columns may be the spindle speed: {', '.join(map(repr, speeds))}"] * (len(speeds) > 1)
-    for kind in ("temperatures", "displacements"):
-        if found := [name for name, its in kinds.items() if its == kind]:
-            keys[kind] = found
-    in_unit = {name: _of_temperature(described[name], columns[name]) for name in keys.get("temperatures", ())}
+    temperatures = [name for name, its in kinds.items() if its == "temperatures"]
+    in_unit = {name: _of_temperature(described[name], columns[name]) for name in temperatures}
+    broken = _broken({name: columns[name] for name in temperatures if in_unit[name] is None})
+    found = {"temperatures": temperatures, "displacements": [name for name in kinds if kinds[name] == "displacements"]}
+    keys |= {kind: kept for kind, names in found.items() if (kept := [name for name in names if name not in broken])}
+    notes += broken.values()
     others = {name: unit for name, unit in in_unit.items() if unit is not None}
     keys |= {"temperature_units": others} if others else {}
     if coarse := {n: unit for n in keys.get("displacements", ()) if (unit := _coarse(described[n])) is not None}:
@@ -160,7 +166,7 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
         for name in numbers
         if name not in taken and kinds[name] is None and (unit := _coarse(described[name])) is not None
     ]
-    used = {*taken, keys.get("speed"), *keys.get("temperatures", ()), *keys.get("displacements", ()), *unread}
+    used = {*taken, keys.get("speed"), *keys.get("temperatures", ()), *keys.get("displacements", ()), *unread, *broken}
     return MapProposal(
         keys=keys,
         left_out=tuple(name for name in header if name and name not in used),
@@ -177,6 +183,16 @@ def _of_temperature(said: str, texts: Sequence[str]) -> str | None:
     return "K" if _KELVIN.search(said) and known and min(known) > _ABSOLUTE_K else None
 
 
+def _broken(columns: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """Return why temperatures are left out that cannot be, where others of the same logger can: an open wire, say."""
+    degc = {name: median([n for text in texts if (n := _number(text)) is not None]) for name, texts in columns.items()}
+    wrong = {name: value for name, value in degc.items() if not LOWEST_DEGC <= value <= HIGHEST_DEGC}
+    if len(wrong) == len(degc):
+        return {}
+    said = "of its first rows, and others do not: is its sensor broken?"
+    return {name: f"{name!r} is left out: it reads {value:.6g} in most {said}" for name, value in wrong.items()}
+
+
 def _described(header: Sequence[str], units: Sequence[str]) -> dict[str, str]:
     """Return what is said of each column, in lower case: its name and its unit."""
     joined = [f"{n} [{unit.strip(' []()')}]" for n, unit in zip(header, units, strict=False)] if units else header
@@ -188,7 +204,15 @@ def _coarse(said: str) -> str | None:
     return next((unit for unit, form in _COARSE.items() if form.search(said)), None)
 
 
+def _in_units_of_time(said: str) -> bool:
+    """Return whether what is said of a column ends with a unit of time in brackets: `Tempo (s)` is no temperature."""
+    found = _IN_BRACKETS.search(said)
+    return found is not None and unit_of(found[1]) in TIMES
+
+
 def _kind(said: str) -> str | None:
+    if _in_units_of_time(said):
+        return None
     if _SPEED.search(said):
         return None if _NO_TURNS.search(said) else "speed"
     if _UM.search(said):
@@ -205,12 +229,10 @@ def _kind(said: str) -> str | None:
     return "displacements" if _DISPLACEMENT.search(words) else None
 
 
-def _time_keys(
-    columns: dict[str, list[str]], described: dict[str, str], of_time: Sequence[str], notes: list[str]
-) -> dict[str, Any]:
-    """Return the keys that say what the time is; `of_time`: columns whose unit is one of time."""
+def _time_keys(columns: dict[str, list[str]], described: dict[str, str], notes: list[str]) -> dict[str, Any]:
+    """Return the keys that say what the time is."""
     words = {name: re.sub(r"[_\W\d]+", " ", said).strip() for name, said in described.items() if name in columns}
-    times = [name for name in words if name in of_time]
+    times = [name for name in words if _in_units_of_time(described[name])]
     times += [name for name, text in words.items() if _TIME.search(text) and not _NUMBERED_T.match(described[name])]
     dates = [name for name, text in words.items() if _DATE.search(text) and name not in times]
     for name in (*times, *dates):
@@ -228,7 +250,9 @@ def _time_keys(
                     f"{of_day!r}: is the day or the month first? The first row is read as {first:%d %B %Y}; where that "
                     f"is wrong, exchange %d and %m. And it is taken to be {zone}"
                 )
-            elif "time_format" in keys or keys.get("time_unit") == "iso":
+            elif "time_format" in keys or (
+                keys.get("time_unit") == "iso" and datetime.fromisoformat(columns[name][0]).tzinfo is None
+            ):
                 notes.append(f"{name!r} is taken to be {zone}")
             return keys
     for name in times:

@@ -31,6 +31,8 @@ STILL_UM = 0.1
 KELVIN_ABOVE, KELVIN_BELOW = 263.0, 400.0
 """What is no temperature in degC may be one in kelvin between these."""
 WITHOUT = "convert it, or take the column out of the map"
+BROKEN_FROM = 0.05
+"""Where more than this share of values can be degC, and most cannot, the sensor broke: a unit is wrong throughout."""
 _UNIT_SAID = "temperature_units: {{{name!r}: {unit}}}"
 FEWEST_TURNS = 30.0
 """A spindle that turns, and never faster, is no speed in 1/min [1/min]."""
@@ -309,7 +311,12 @@ def _temperature_units(recording: Recording) -> Iterator[Finding]:
         if not len(known):
             continue
         median = float(np.median(known))
-        if median > HIGHEST_DEGC:
+        can_be = float(((known >= LOWEST_DEGC) & (known <= HIGHEST_DEGC)).mean())
+        if BROKEN_FROM < can_be <= 0.5:
+            share = f"{1.0 - can_be:.0%} of its values cannot be degC, such as {median:.4g}"
+            advice = "where its sensor broke, leave those fields empty, or leave this recording out"
+            yield _error(name, None, f"{share}: {advice}; else {WITHOUT}")
+        elif median > HIGHEST_DEGC:
             kelvin = KELVIN_ABOVE < median < KELVIN_BELOW
             unit = "kelvin" if kelvin else "tenths of a degree, raw counts or an open wire"
             advice = f"say {_UNIT_SAID.format(name=name, unit='K')} in the map" if kelvin else WITHOUT

@@ -158,3 +158,35 @@ def test_the_unit_of_the_speed_is_said_and_what_does_not_turn_is_none(name: str,
 def test_how_a_date_is_read_is_told(times: tuple[str, str], form: str | None, said: str) -> None:
     found = propose_map(["Date", "T1", "X_um"], rows(*times, fields=3))
     assert found.keys.get("time_format") == form and said in found.notes[0]
+
+
+def test_a_column_with_a_unit_of_time_is_the_time_and_no_temperature() -> None:
+    header = ["Tempo (s)", "Giri/min", "Temp. testa (°C)", "Scostamento interasse (µm)"]
+    found = propose_map(header, [["0", "260", "26,4", "1,5"], ["1", "260", "26,5", "0,4"]])
+    assert (found.lacking, found.left_out, found.notes) == ((), (), ())
+    assert found.recording_map == RecordingMap(
+        time="Tempo (s)",
+        time_unit="s",
+        speed="Giri/min",
+        temperatures=["Temp. testa (°C)"],
+        displacements=["Scostamento interasse (µm)"],
+        decimal=",",
+    )
+
+
+@pytest.mark.parametrize(
+    ("first", "said"),
+    [("2026-03-26T06:30:00", True), ("2026-03-26T06:30:00Z", False), ("2026-03-26T06:30:00+02:00", False)],
+)
+def test_no_time_zone_is_asked_for_where_the_times_tell_it(first: str, said: bool) -> None:
+    notes = propose_map(["timestamp", "T1", "X [um]"], [[first, "20.1", "0.0"]]).notes
+    assert bool(notes) is said
+
+
+def test_a_temperature_that_cannot_be_is_left_out_where_the_others_can() -> None:
+    header = ["t", "Pt01 (°C)", "Pt02 (°C)", "Z [um]"]
+    found = propose_map(header, [["0", "23.6", "3276.7", "0"], ["1", "23.7", "3276.7", "1"]])
+    assert found.keys["temperatures"] == ["Pt01 (°C)"] and found.left_out == ()
+    assert any("'Pt02 (°C)' is left out: it reads 3276.7" in note for note in found.notes)
+    tenths = propose_map(header, [["0", "236", "231", "0"], ["1", "237", "231", "1"]])
+    assert tenths.keys["temperatures"] == ["Pt01 (°C)", "Pt02 (°C)"], "a unit is wrong in all of them: reading says so"

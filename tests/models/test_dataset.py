@@ -144,6 +144,10 @@ def test_kelvin_millimetres_and_raw_counts_are_recognised() -> None:
         require_usable(replace(good, speed_rpm=np.linspace(0.0, 12.0, good.rows)))
     with pytest.raises(DatasetError, match="raw counts or an open wire"):
         require_usable(replace(good, temperatures_degc=good.temperatures_degc * 16.0 + 2000.0))
+    open_wire = good.temperatures_degc.copy()
+    open_wire[good.rows // 3 :, 0] = 3276.7
+    with pytest.raises(DatasetError, match=r"column t1: 6\d% of its values cannot be degC, such as 3277: where its"):
+        require_usable(replace(good, temperatures_degc=open_wire))
     with pytest.raises(DatasetError, match="looks like millimetres or inches"):
         require_usable(replace(good, displacements_um=good.displacements_um / 1000.0))
     one_in_mm = replace(good, displacements_um=good.displacements_um * np.array([1.0, 0.001]))
