@@ -35,7 +35,6 @@ from models.thermal.training.left_out_errors import (
     relative,
     rmse_um,
 )
-from models.thermal.training.linear_families import LassoProblem, PartialLeastSquaresProblem
 from models.thermal.training.mixing import even_weights, mean_weights
 from models.thermal.training.ridge_member import DEPARTURES, LEVELS, RidgeFamily, RidgeMember, joint_layout
 from models.thermal.training.trust import independent_folds
@@ -57,8 +56,6 @@ BETTER_IN_BOTH = 0.8
 was trained on."""
 ON_TEMPERATURES: dict[str, Prepare] = {
     "ridge": RidgeFamily,
-    "pls": PartialLeastSquaresProblem,
-    "lasso": LassoProblem,
     "increments": increments_without_drift,
 }
 """Families on temperatures alone, which are tried against those with lags."""
@@ -111,7 +108,7 @@ class _Tried:
 class ChosenProblem:
     """The family that the training rows support; see `Prepare` for the parameters.
 
-    `families`: which of `ridge`, `pls`, `lasso`, `increments`, `lags` and `gaussian` are tried.
+    `families`: which of `ridge`, `increments`, `lags` and `gaussian` are tried.
     """
 
     def __init__(
