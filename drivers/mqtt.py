@@ -87,9 +87,9 @@ class MqttSource(PushedSource):
         text = str(error)
         if "uthori" in text or "user name or password" in text:
             return f"refuses the connection ({text}): check `user_name` and `password_file`"
-        if "CERTIFICATE_VERIFY_FAILED" in text or isinstance(error.__cause__, ssl.SSLError):
+        if "CERTIFICATE_VERIFY_FAILED" in text or isinstance(error.__cause__, ssl.SSLCertVerificationError):
             return f"shows no certificate that `ca_certificate` vouches for ({error.__cause__ or error})"
-        return f"{text or type(error).__name__}: check address, port, network, and that the broker runs"
+        return f"{text or type(error).__name__}: check address, `port`, `tls`, network, and that the broker runs"
 
     def _password(self) -> str | None:
         path = self._config.password_file

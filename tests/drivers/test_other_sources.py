@@ -504,7 +504,7 @@ CONNACK, SUBACK = b"\x20\x02\x00\x00", b"\x90%c\x00\x01"
         ([CONNACK], "timed out"),
         ([CONNACK, SUBACK % 3 + b"\x00"], "has passed on no number for three cycle periods"),
         ([CONNACK, SUBACK % 3 + b"\x80"], "refuses 'm/7': let `user_name` read it, or correct `topic`"),
-        ([b"HTTP/1.1 400 Bad Request\r\n\r\n"], "check address, port"),
+        ([b"HTTP/1.1 400 Bad Request\r\n\r\n"], "check address, `port`, `tls`"),
     ],
 )
 async def test_a_broker_that_falls_silent_or_refuses_a_topic_is_a_lost_link(answers: list[bytes], said: str) -> None:

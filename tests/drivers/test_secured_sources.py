@@ -98,11 +98,23 @@ async def test_messages_come_over_tls_and_only_from_a_broker_that_is_vouched_for
     assert list((await waiting).values) == [21.5]
     with pytest.raises(LinkError, match=r"broker 127\.0\.0\.1:\d+: shows no certificate that `ca_certificate`"):
         await first(subscribed(broker, tls=True))
-    with pytest.raises(LinkError, match=r"source s: broker 127\.0\.0\.1"):
-        await first(subscribed(broker))
+    with pytest.raises(LinkError, match=r"source s: broker 127\.0\.0\.1:\d+: .*check address, `port`, `tls`"):
+        await first(subscribed(broker, timeout_s=1.0))
     no_certificate = tmp_path / "m.conf"
     with pytest.raises(FatalDriverError, match=r"ca_certificate .* cannot be used"):
         await first(subscribed(broker, tls=True, ca_certificate=no_certificate))
+
+
+async def test_a_broker_without_tls_is_told_by_the_key_to_correct() -> None:
+    async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.read(4096)
+        writer.write(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+        writer.close()
+
+    server = await asyncio.start_server(answer, "127.0.0.1", 0)
+    with pytest.raises(LinkError, match=r"\[SSL: WRONG_VERSION_NUMBER\].*: check address, `port`, `tls`"):
+        await first(subscribed(server.sockets[0].getsockname()[1], tls=True))
+    server.close()
 
 
 # --- OPC UA with security ---------------------------------------------------------------
