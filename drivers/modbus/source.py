@@ -49,7 +49,8 @@ class ModbusSource(PolledSource):
             except LinkError as error:
                 lost = lost or str(error)
                 await self.release()
-                self._miss(readings, request, NoReading(reason=Reason.NOT_RECEIVED, why=str(error)))
+                why = str(error).removeprefix(f"{self._owner}: ")  # the row names it before each sensor
+                self._miss(readings, request, NoReading(reason=Reason.NOT_RECEIVED, why=why))
             else:
                 answered = True
                 self._take(readings, request, registers)

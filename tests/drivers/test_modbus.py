@@ -226,6 +226,7 @@ async def test_a_dead_box_costs_its_own_sensors_only_and_a_refusal_is_put_in_wor
     text = "\n".join(cycle.faults)
     assert "it has no such register: check `address`, `table` and `gap` (code 2)" in text
     assert "source bad: 5 more" in text or "unit 2" in text
+    assert all(fault.count("source bad") == 1 for fault in cycle.faults), "each names its source once"
     assert not cycle.complete
 
 
