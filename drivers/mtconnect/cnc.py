@@ -5,6 +5,7 @@ present state; another instance of the agent is a lost link.
 """
 
 import asyncio
+import contextlib
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from http import HTTPStatus
@@ -127,7 +128,7 @@ class MtconnectCnc(LinkedCnc):
 
     async def _connect(self) -> None:
         self._link = AgentLink()
-        root = await self._asked("/probe")
+        root = await self._probe()
         if root.name != "MTConnectDevices":
             raise FatalDriverError(
                 f"{self._name} is no MTConnect agent: its probe is a {root.name}; check cnc.mtconnect.url"
@@ -137,6 +138,13 @@ class MtconnectCnc(LinkedCnc):
         self.identity = SIMULATED_CNC_IDENTITY if device.uuid == SIMULATED_UUID else f"mtconnect:{device.uuid}"
         self._instance = _header(root).get("instanceId", "")
         await self._read_current(device)
+
+    async def _probe(self) -> Element:
+        """Return what the agent tells of the configured device: what that of a plant tells of all may be too long."""
+        if self._agent.device is not None:
+            with contextlib.suppress(*self.wrong_answers):  # it does not know the name, and then says which there are
+                return await self._asked("/probe", self._agent.device)
+        return await self._asked("/probe")
 
     async def _sample(self, macros: Sequence[int]) -> CncSample:
         device = self._device
@@ -196,10 +204,11 @@ class MtconnectCnc(LinkedCnc):
         self._next = _number(header, "nextSequence")
         return header
 
-    async def _asked(self, target: str) -> Element:
+    async def _asked(self, target: str, device: str = "") -> Element:
         """Return the document at a target; raises AgentError for one that tells an error."""
         agent = self._agent
-        below = f"/{quote(self._device.name, safe='')}" if self._device is not None and self._device.name else ""
+        name = self._device.name if self._device is not None else device
+        below = f"/{quote(name, safe='')}" if name else ""
         try:
             status, content = await fetch(agent.host, agent.port, f"{quote(agent.path, safe='/%')}{below}{target}")
         except ConnectionRefusedError as error:

@@ -102,6 +102,46 @@ async def test_what_the_agent_has_forgotten_is_read_anew_and_another_instance_is
 
 
 @pytest.mark.wires
+async def test_an_agent_of_a_whole_plant_is_asked_for_its_device_alone():
+    """Sixty machines with some hundred data items each: all of them are more than is read."""
+
+    def probe(machines):
+        items = "".join(f'<DataItem id="x%d-{n}" type="POSITION" category="SAMPLE"/>' for n in range(700))
+        kept = '<DataItem id="e%d" type="EXECUTION" category="EVENT"/>'
+        return "".join(
+            f'<Device name="M{n}" uuid="u{n}"><DataItems>{(kept + items).replace("%d", str(n))}</DataItems></Device>'
+            for n in machines
+        )
+
+    async def serve(reader, writer):
+        path = (await reader.readuntil(b"\r\n\r\n")).split()[1].decode()
+        header = '<Header instanceId="1" nextSequence="5" lastSequence="4" creationTime="2026-01-01T00:00:00Z"/>'
+        asked.append(path)
+        if path.endswith("/probe"):
+            content = f"<Devices>{probe([7] if path == '/M7/probe' else range(60))}</Devices>"
+            body = f"<MTConnectDevices>{header}{content}</MTConnectDevices>"
+        else:
+            body = f"<MTConnectStreams>{header}<Streams/></MTConnectStreams>"
+        if path.startswith("/M99/"):
+            body = '<MTConnectError><Errors><Error errorCode="NO_DEVICE">no M99</Error></Errors></MTConnectError>'
+        writer.write(b"HTTP/1.1 200 OK\r\nConnection: close\r\n\r\n" + body.encode())
+        writer.close()
+
+    asked = []
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    port = server.sockets[0].getsockname()[1]
+    section = {"position_items": {}, "motor_temperature_item": None}
+    cnc = AgentBench().open_at(port, section=section | {"device": "M7"})
+    await cnc.connect()
+    assert cnc.identity == "mtconnect:u7" and set(asked) == {"/M7/probe", "/M7/current", "/M7/sample?from=5&count=500"}
+    await cnc.close()
+    unknown = AgentBench().open_at(port, section=section | {"device": "M99"})
+    with pytest.raises(LinkError, match="longer than"):  # what a smaller plant would be told is which names there are
+        await unknown.connect()
+    server.close()
+
+
+@pytest.mark.wires
 async def test_what_is_no_agent_is_named_with_its_status():
     async def login(reader, writer):
         await reader.readuntil(b"\r\n\r\n")
