@@ -89,6 +89,11 @@ class Configuration(Section):
         """What each sensor reads, by its ID, and of which machine: what a history holds of another is no past of it."""
         return {i: read + " of " + self.machine for i, read in self.temperatures.reads.items()}
 
+    @property
+    def other_reads(self) -> dict[str, str]:
+        """What is read beside temperatures: from the control, and of each displacement."""
+        return self.cnc.reads | ({} if self.displacements is None else self.displacements.reads)
+
     def _displacement_wires(self) -> Iterator[tuple[KeyPath, str]]:
         """Yield which channels belong to no axis, and which sources of displacements take a port that is taken."""
         if (displacements := self.displacements) is None:

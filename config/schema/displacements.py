@@ -294,6 +294,13 @@ class DisplacementsConfig(Section):
         return tuple(channel for _, channel in self.placed_channels)
 
     @property
+    def reads(self) -> dict[str, str]:
+        """What each channel reads, with scale, sign and axis."""
+        known = {"open", "min_um", "max_um"}
+        channels = self.every_channel
+        return {f"displacement {c.name}": c.model_dump_json(exclude=known, exclude_defaults=True) for c in channels}
+
+    @property
     def inputs(self) -> "tuple[DisplacementFileConfig | DisplacementSourceConfig, ...]":
         """The file and the sources: each brings rows."""
         return (*(() if self.file is None else (self.file,)), *(self.sources or ()))

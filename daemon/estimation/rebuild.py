@@ -64,15 +64,16 @@ class HistoryBackfill:
         self._calendar = [*kept.to_utc_s] if kept is not None and goes_on else []
         """Since this computer's start, from when on [s], and UTC minus the monotonic clock then [s]."""
         self._note_calendar()
-        self._since_utc_s = self._note_control(configuration.cnc.reads)
+        self._since_utc_s = self._note_control(configuration)
 
-    def _note_control(self, reads: dict[str, str]) -> float:
-        """Note what is read from the control; return since when, by the calendar [s]."""
-        kept = self._documents.get(ControlRead) or ControlRead(reads=reads, since_utc_s=NOWHERE_S)
-        changed = any(kept.reads.get(name, read) != read for name, read in reads.items())
-        since_utc_s = self._clock.now().utc_s if changed else kept.since_utc_s
+    def _note_control(self, configuration: Configuration) -> float:
+        """Note what is read beside temperatures; return since when it is what it is from the control [s]."""
+        reads = configuration.other_reads
+        kept = self._documents.get(ControlRead) or ControlRead(reads=reads, since_utc_s={})
+        changed = [name for name, read in reads.items() if kept.reads.get(name, read) != read]
+        since_utc_s = dict(kept.since_utc_s) | dict.fromkeys(changed, self._clock.now().utc_s)
         self._documents.put(ControlRead(reads=reads, since_utc_s=since_utc_s))
-        return since_utc_s
+        return max(since_utc_s.get(name, NOWHERE_S) for name in configuration.cnc.reads)
 
     def _note_calendar(self) -> float:
         """Note how far the calendar is ahead of the monotonic clock; return by how much it was set [s]."""

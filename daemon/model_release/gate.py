@@ -65,17 +65,18 @@ def inputs_inhibit(record: ReleaseRecord | None, configuration: Configuration) -
 
 
 def reads_in_short(model: ThermalModel, reads: Mapping[str, str]) -> str:
-    """Return in one word what a model's inputs read; `reads`: of each, by what `inputs_of` calls it."""
-    return sha256(" ".join(reads.get(each, "") for each in inputs_of(model)).encode()).hexdigest()[:16]
+    """Return in one word what a model's inputs and what it was fitted to read; `reads`: of each, by its name."""
+    names = [*inputs_of(model), *(f"displacement {channel}" for channel in model.channels)]
+    return sha256(" ".join(reads.get(each, "") for each in names).encode()).hexdigest()[:16]
 
 
 def read_otherwise(model: ThermalModel, configuration: Configuration) -> str:
     """Return that a model's sensors read something else than in its training, '' when not, or when nobody knows."""
     sensors = {f"sensor {sensor_id}": read for sensor_id, read in configuration.reads.items()}
-    now = reads_in_short(model, sensors | configuration.cnc.reads)
+    now = reads_in_short(model, sensors | configuration.other_reads)
     if model.hyper_parameters.get(READS, now) == now:
         return ""
-    return "its inputs read something else than when it was trained (see temperatures and cnc)"
+    return "its inputs read something else than when it was trained (see temperatures, cnc, displacements)"
 
 
 def unfit(model: ThermalModel, configuration: Configuration) -> str:

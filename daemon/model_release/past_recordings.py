@@ -114,8 +114,8 @@ def recordings_from_history(
 
 def _as_read_now_since_utc_s(reader: HistoryReader) -> float:
     """Return since when the configuration reads of every input what it reads now [s]."""
-    gaps, of_control = _levels(reader).get("gaps", ()), _of_control(reader).get("since_utc_s", -np.inf)
-    return float(max([of_control, *(gap["to_utc_s"] for gap in gaps if gap["from_utc_s"] < BEGINNING_S / 2)]))
+    gaps, others = _levels(reader).get("gaps", ()), _of_control(reader).get("since_utc_s", {}).values()
+    return float(max([-np.inf, *others, *(gap["to_utc_s"] for gap in gaps if gap["from_utc_s"] < BEGINNING_S / 2)]))
 
 
 def what_is_left_out(reader: HistoryReader, from_utc_s: float) -> str:

@@ -129,11 +129,11 @@ class SensorLevelsDocument:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ControlRead:
-    """What is read from the control as spindle speed and axis positions, see `CncConfig.reads`."""
+    """What is read as spindle speed, axis positions and displacements, see `Configuration.other_reads`."""
 
     reads: Mapping[str, str]
-    since_utc_s: float
-    """Since when all of it is [s]."""
+    since_utc_s: Mapping[str, float]
+    """Since when, where something else was read before [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

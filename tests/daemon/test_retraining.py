@@ -21,6 +21,7 @@ from config.loader import load_configuration
 from config.schema import Configuration
 from config.schema.cnc_drivers import OpcUaNodesConfig
 from config.schema.compensation import RetrainingConfig
+from config.schema.displacements import DisplacementsConfig
 from config.schema.service import HistoryConfig
 from daemon.cli import main
 from daemon.estimation.inputs import NoPositions
@@ -122,7 +123,7 @@ def test_training_data_are_measured_minus_applied(machine: tuple[Installation, C
     assert recording.temperature_names == tuple(f"T{sensor_id}" for sensor_id in SENSOR_IDS)
 
 
-@pytest.mark.parametrize("of", ["sensors", "control"])
+@pytest.mark.parametrize("of", ["sensors", "control", "gauge"])
 def test_nothing_is_trained_on_of_before_the_configuration_reads_what_it_reads_now(
     machine: tuple[Installation, Configuration, float], tmp_path: Path, of: str
 ) -> None:
@@ -134,13 +135,19 @@ def test_nothing_is_trained_on_of_before_the_configuration_reads_what_it_reads_n
     other_spindle = configuration.cnc.opcua.model_copy(update={"nodes": OpcUaNodesConfig(spindle_speed="s=Speed.2")})
     cnc = configuration.cnc.model_copy(update={"opcua": other_spindle})
     edited = rewired(configuration, EXCHANGED) if of == "sensors" else configuration.model_copy(update={"cnc": cnc})
+    if of == "gauge":  # it was wired the wrong way round
+        assert configuration.displacements is not None
+        first, *others = configuration.displacements.channels
+        channels = [first.model_copy(update={"scale_um": -first.scale_um}), *others]
+        measured = DisplacementsConfig(file=configuration.displacements.file, channels=channels)
+        edited = configuration.model_copy(update={"displacements": measured})
     made = dict[str, Any]()
     for each in (configuration, edited):
         started(each)
         made = made or propose_from_history(each, RetrainingConfig(model="ridge"))
     model = model_from_json(Path(made["path"]).read_text("utf-8"), made["path"])
     read = {f"sensor {i}": each for i, each in configuration.reads.items()}
-    assert model.hyper_parameters[READS] == reads_in_short(model, read | configuration.cnc.reads)
+    assert model.hyper_parameters[READS] == reads_in_short(model, read | configuration.other_reads)
     left_out = r".*; what is older than 20.* is left out"
     with HistoryReader(store) as reader:
         with pytest.raises(DatasetError, match="no 120 minutes in a row" + left_out):
