@@ -249,6 +249,7 @@ class Daemon:
 
     async def _run(self) -> None:
         self._report("daemon", "started")
+        self._publish_links()
         self._report("model", self._loaded.in_words())
         scheduler = self._parts.housekeeping(self._history, self._configuration.history)
         try:
@@ -323,17 +324,16 @@ class Daemon:
             self._alive_real_s = now.real_s
             self._store.put(DaemonAlive(utc_s=now.utc_s))
         self._telemetry.report(now.real_s)
-        self._telemetry.links((health.name, health.up) for health in self._links.shown)
         if self.thermal.latest is not None:
             self._telemetry.sensors_usable(self.thermal.latest.degc)
         self._publish_output()
-        self._publish_links()
         self.snapshots.jobs = job_snapshots(self._history, self._jobs)
         self.snapshots.history = HistorySnapshot(acknowledged=dict(self.acknowledged), problem=self._history.problem)
         self._last_block.follow(self._history, begun=self.control.memory is not None)
 
     def _publish_links(self) -> None:
         self.snapshots.links = self._links.snapshots()
+        self._telemetry.links((health.name, health.up) for health in self._links.shown)
 
     def _publish_output(self) -> None:
         self.snapshots.control = control_snapshot(self.control)

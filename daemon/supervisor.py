@@ -34,7 +34,7 @@ class LinkHealth:
         self.last_problem = ""
         self.last_problem_utc_s: float | None = None
         self.on_change: Callable[[], None] = _nothing
-        """Called when the link has come up or could not."""
+        """Called when an attempt begins, and when the link has come up or could not."""
         self._log = RateLimit[tuple[str, dict[str, Any]]](self._say)
 
     def came_up(self, **facts: object) -> None:
@@ -132,6 +132,7 @@ async def _once(
 ) -> None:
     loop = asyncio.get_running_loop()
     health.attempts += 1
+    health.on_change()
     started_s, problem, must_be_repaired = loop.time(), "ended", False
     try:
         await attempt()

@@ -97,6 +97,7 @@ class AuditedWriter:
         was sent is REFUSED in the audit; after any other error each macro may hold the old or the new value.
         """
         macros, trace = write.macros, write.trace
+        written = {number: (value,) for number, value in macros}
         intent = self._history.write_intent(write.command, macros, write.cause, write.person, kept=write.kept)
         self.last_write_id = int(intent)
         unsent = True
@@ -108,7 +109,7 @@ class AuditedWriter:
             unsent = False
             await self.cnc.write_macros(write.groups)
             trace = replace(trace, written=self.clock.now())
-            found = await self._read_back(write, before)
+            found, problems = await self._read_back(written, write.also_read, before)
             trace = replace(trace, read_back=self.clock.now())
         except BaseException as error:
             refused = isinstance(error, NotSentError) or (unsent and isinstance(error, FatalDriverError))
@@ -117,22 +118,25 @@ class AuditedWriter:
                 detail += "; other values of this write may have arrived"
             self._conclude(write, intent, WriteOutcome.REFUSED if refused else WriteOutcome.FAILED, detail, {}, trace)
             raise
-        problems = self.block.differences({number: (value,) for number, value in macros}, found)
         problems += write.judge(found)
         outcome = WriteOutcome.DIFFERS if problems else WriteOutcome.VERIFIED
         return self._conclude(write, intent, outcome, "; ".join(problems), found, trace)
 
-    async def _read_back(self, write: MacroWrite, before: MacroValues) -> MacroValues:
-        """Return what the control holds now; what still stands there from before may come in a moment."""
-        numbers = tuple(dict.fromkeys((*(number for number, _ in write.macros), *write.also_read)))
+    async def _read_back(
+        self, written: Expected, also: Sequence[int], before: MacroValues
+    ) -> tuple[MacroValues, list[str]]:
+        """Return what the control holds now, and how it differs; what stands there from before may yet change."""
+        numbers = tuple(dict.fromkeys((*written, *also)))
         now_s = asyncio.get_running_loop().time
         until_s = now_s() + LATE_S  # the heartbeat and whoever asks wait meanwhile
         while True:
             found = await self.cnc.read_macros(numbers)
-            late = [each for each, value in write.macros if self.block.differences({each: (value,)}, found)]
+            if not (problems := self.block.differences(written, found)):
+                return found, problems
+            late = [each for each, value in written.items() if self.block.differences({each: value}, found)]
             gone = any(each not in before or before[each] != found.get(each) for each in late)
-            if not late or gone or now_s() >= until_s:
-                return found
+            if gone or now_s() >= until_s:
+                return found, problems
             await asyncio.sleep(LATE_LOOK_S)
 
     async def _committed(self, intent: WriteId, commit_s: float) -> None:

@@ -136,18 +136,21 @@ class MacroBlock:
         self, acceptable: Mapping[int, tuple[float | None, ...]], found: Mapping[int, float | None]
     ) -> list[str]:
         """Return what is vacant or foreign among our macros, in words; one that may hold None may be vacant."""
-        problems = self.vacant(
-            {number: found.get(number) for number, values in acceptable.items() if None not in values}
-        )
+        vacant: dict[int, None] = {}
+        problems: list[str] = []
         for number, allowed in acceptable.items():
             value = found.get(number)
             if value is None:
+                if None not in allowed:
+                    vacant[number] = None
                 continue
-            written = [each for each in allowed if each is not None]
-            if not any(self._close(value, expected) for expected in written):
-                expected = " or ".join(dict.fromkeys(f"{v:g}" for v in written)) or "nothing"
-                problems.append(f"macro #{number} holds {value:g}, we wrote {expected}")
-        return problems
+            for expected in allowed:
+                if expected is not None and self._close(value, expected):
+                    break
+            else:
+                written = " or ".join(dict.fromkeys(f"{v:g}" for v in allowed if v is not None)) or "nothing"
+                problems.append(f"macro #{number} holds {value:g}, we wrote {written}")
+        return self.vacant(vacant) + problems if vacant else problems
 
     def unrecorded(
         self, known: Mapping[int, tuple[float, ...]], found: Mapping[int, float | None], limits: OutputLimits
@@ -194,22 +197,21 @@ class MacroBlock:
         `after_expiry`: the guard may have taken an expired block's offset out, so anything between zero and what is
         written is plausible as well.
         """
-        echo = self.echo(macros)
-        written = self.values_um(macros).tolist()
-        written_um = [0.0 if math.isnan(um) else um for um in written]
+        columns = (self.echo(macros).applied_um, self.values_um(macros), limits.absolute_bound_um, limits.step_um)
+        rows = zip(self._axes, *(each.tolist() for each in columns), strict=True)
         problems = []
-        for i, (axis, applied_um) in enumerate(zip(self._axes, echo.applied_um.tolist(), strict=True)):
-            if abs(applied_um) > limits.absolute_bound_um[i] + self.slack_um:
+        for axis, applied_um, held_um, bound_um, step_um in rows:
+            written_um = 0.0 if math.isnan(held_um) else held_um
+            if abs(applied_um) > bound_um + self.slack_um:
                 problems.append(
-                    f"axis {axis}: the CNC says that it applies {applied_um:.3f} um, "
-                    f"the bound is {limits.absolute_bound_um[i]:g} um"
+                    f"axis {axis}: the CNC says that it applies {applied_um:.3f} um, the bound is {bound_um:g} um"
                 )
-            elif after_expiry and _between_zero_and(written_um[i], applied_um, self.slack_um):
+            elif after_expiry and _between_zero_and(written_um, applied_um, self.slack_um):
                 continue
-            elif abs(applied_um - written_um[i]) > limits.step_um[i] + self.slack_um:
+            elif abs(applied_um - written_um) > step_um + self.slack_um:
                 problems.append(
                     f"axis {axis}: the CNC says that it applies {applied_um:.3f} um, the block holds "
-                    f"{written_um[i]:.3f} um, and the guard's step is {limits.step_um[i]:g} um"
+                    f"{written_um:.3f} um, and the guard's step is {step_um:g} um"
                 )
         return problems
 

@@ -137,7 +137,7 @@ class CncSession:
     def _implausible_echo(self, found: Mapping[int, float | None], clock_s: float) -> list[str]:
         """Return what the guard cannot have applied; between two steps of a way back after an expiry it may lag."""
         lagging = self._block.implausible_echo(found, self._limits)
-        vacant = bool(np.isnan(self._block.echo(found).applied_um).any())
+        vacant = self.echo is None or bool(np.isnan(self.echo.applied_um).any())
         expired = self._block.expires_to_zero and self._block.expired(found, clock_s)
         self._after_expiry = expired or (self._after_expiry and (bool(lagging) or vacant))
         return self._block.implausible_echo(found, self._limits, after_expiry=True) if self._after_expiry else lagging

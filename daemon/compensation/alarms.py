@@ -1,6 +1,6 @@
 """The alarms of the output, as sentences for the person at the machine."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -47,10 +47,10 @@ def alarm_of(
     now_s: float,
     guard: GuardWatch,
     config: OutputConfig,
-    inhibit: Inhibit | None,
+    inhibit: Callable[[], Inhibit | None],
     command: CompensationCommand | None = None,
 ) -> str:
-    """Return the alarm that the output's state calls for, '' when there is none."""
+    """Return the alarm that the output's state calls for, '' when there is none; `inhibit`: why nothing is followed."""
     if memory.state is OutputState.FAULT:
         return f"FAULT: {memory.reason}; `toolpoint acknowledge` clears it"
     beyond = _beyond_bounds(memory, command) if command is not None else ()
@@ -77,7 +77,7 @@ def _alarms(
     now_s: float,
     guard: GuardWatch,
     config: OutputConfig,
-    inhibit: Inhibit | None,
+    inhibit: Callable[[], Inhibit | None],
 ) -> Iterator[str]:
     """Yield what is wrong at the guard, and what has been held for too long."""
     if memory.state in ASKS_THE_GUARD and max(guard.refusals, guard.nearing) >= REFUSALS and echo is not None:
@@ -89,7 +89,7 @@ def _alarms(
             "is written reaches the tool: check that the program calls it at its safe points"
         )
     if memory.state is OutputState.HOLD and now_s - memory.since_s > config.alarm_after_s:
-        yield f"held for longer than {config.alarm_after_s:g} s: {inhibit or memory.reason}"
+        yield f"held for longer than {config.alarm_after_s:g} s: {inhibit() or memory.reason}"
 
 
 GUARD_CONTENT = (None, 0, 1)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from math import isnan
 
 import numpy as np
 
@@ -68,9 +69,8 @@ class MeasuredByNc:
         """Take one poll: the tool in the spindle, where the axes stand, and what the guard has done."""
         before, self._polled = self._polled, (sample.clock_s, echo)
         self._asked_after_s = min(np.inf if before is None else before[0], sample.clock_s - GUARD_BETWEEN_S)
-        if before is not None and echo.time_s is not None:
-            stood = np.allclose(echo.applied_um, before[1].applied_um, rtol=0.0, atol=ECHO_SLACK_UM, equal_nan=True)
-            self._moved_s = self._moved_s if stood else echo.time_s
+        if before is not None and echo.time_s is not None and not _stood(before[1].applied_um, echo.applied_um):
+            self._moved_s = echo.time_s
         now_s = sample.time.monotonic_s
         gap_s = self._references.away_s(sample) if self._polled_s is None else now_s - self._polled_s
         self._polled_s = now_s
@@ -124,8 +124,9 @@ class MeasuredByNc:
 
     def given_up(self, memory: OutputMemory, inputs: OutputInputs) -> str:
         """Give up what was taken before when this step's estimate or reference is none to count it from; return why."""
-        reached = inputs.link and bool(np.all(np.isfinite(inputs.applied_um)))
-        if not self.waiting or not reached or inputs.output_fault is not None:
+        if not self.waiting or inputs.output_fault is not None:
+            return ""
+        if not inputs.link or not np.isfinite(inputs.applied_um).all():
             return ""
         if (probe := self._probe) is not None:
             axis, deviation_um = probe.axis, probe.deviation_um
@@ -190,6 +191,12 @@ def judged_probe(
         reason=refusal,
     )
     return sample, deviations
+
+
+def _stood(before_um: FloatArray, now_um: FloatArray) -> bool:
+    """Tell whether the guard has moved no axis between two polls; one that was vacant and is has not moved."""
+    axes = zip(before_um.tolist(), now_um.tolist(), strict=True)
+    return all(was == now or abs(now - was) <= ECHO_SLACK_UM or (isnan(was) and isnan(now)) for was, now in axes)
 
 
 def _tool_setting_refusal(memory: OutputMemory | None, inputs: OutputInputs, limits: OutputLimits) -> str:

@@ -124,7 +124,7 @@ class References:
 
     def on_sample(self, polled: CncSample, asked_s: float) -> None:
         """Take one poll of the CNC, for which it was asked at `asked_s` [s]."""
-        self._step(reference.on_sample(self.memory, polled, self._rules, asked_s=asked_s, new_id=new_id()))
+        self._step(reference.on_sample(self.memory, polled, self._rules, asked_s=asked_s, new_id=new_id))
         self.memory = reference.by_calendar(self.memory)
         assert self.sample is not None
         if any(asked.positioning for asked in self.memory.requests):
@@ -229,8 +229,7 @@ class References:
         """
         if self.left is not None and self.current is None:
             return
-        document = reference_restart.document_of(self.memory, self._rules, self._handshake.answered)
-        document = replace(document, tool=self.tool_seen)
+        document = reference_restart.document_of(self.memory, self._rules, self._handshake.answered, self.tool_seen)
         now_s, kept = self._clock.now().real_s, self._kept
         changed = (
             kept is None

@@ -18,7 +18,7 @@ from daemon.cnc.session import CncSession
 from daemon.compensation.alarms import GuardWatch, alarm_of
 from daemon.compensation.block_writer import BlockWriter, EchoWatch
 from daemon.compensation.handshake import Handshake
-from daemon.compensation.inputs import OutputView, error_of_tool_point_um, output_inputs
+from daemon.compensation.inputs import error_of_tool_point_um, of_estimate
 from daemon.compensation.nc_requests import RequestDesk
 from daemon.compensation.operator_requests import Cadence, Requests
 from daemon.compensation.parts import ControlParts, Inbox, Message
@@ -254,7 +254,7 @@ class ControlTask:
             self._desk.fail(lost)
 
     def _record(self, before: OutputMemory, after: OutputMemory, inputs: OutputInputs) -> None:
-        inhibit = follow_inhibit(after, inputs, self.limits)
+        inhibit = partial(follow_inhibit, after, inputs, self.limits)
         echo = self.session.echo if self.session is not None else None
         alarm = alarm_of(
             after,
@@ -273,26 +273,27 @@ class ControlTask:
         return OutputNow(memory=self.memory, estimate=self._estimate, inputs=inputs, now=now)
 
     def _inputs(self, request: OperatorRequest) -> OutputInputs:
-        session, interlocks = self.session, self._parts.interlocks
-        return output_inputs(
-            OutputView(
-                now_s=self._clock.now().monotonic_s,
-                phase=self.phase,
-                link=session is not None and session.echo is not None and interlocks.write_inhibit(session.cnc) is None,
-                applied_um=self.applied_um(),
-                written_um=session.written_um if session is not None else None,
-                withdrawn=session is not None and session.withdrawn,
-                sources=self._sources,
-                estimate=self._estimate,
-                reference=self._references.memory,
-                zero_first=self._references.zero_first,
-                fault=self.journal.fault,
-                inhibits=self._inhibits(request.enable),
-                request=request,
-                tool=self._measured.tool,
-                tool_setting=self._measured.tool_setting,
-                probe_um=self._measured.probe_um,
-            )
+        session, interlocks, kept = self.session, self._parts.interlocks, self._references.memory
+        now_s, tool, reference = self._clock.now().monotonic_s, self._measured.tool, kept.in_force
+        return OutputInputs(
+            now_s=now_s,
+            phase=self.phase,
+            link=session is not None and session.echo is not None and interlocks.write_inhibit(session.cnc) is None,
+            applied_um=self.applied_um(),
+            written_um=session.written_um if session is not None else None,
+            withdrawn=session is not None and session.withdrawn,
+            reference_id=reference.reference_id if reference is not None else None,
+            reference_ended=kept.ended,
+            kept_reference_id=self._references.kept_id,
+            output_fault=self.journal.fault,
+            inhibits=self._inhibits(request.enable),
+            request=request,
+            zero_first=self._references.zero_first,
+            tool_number=tool.number,
+            tools_in_question=tool.in_question,
+            tool_setting=self._measured.tool_setting,
+            probe_um=self._measured.probe_um,
+            **of_estimate(self._sources, self._estimate, kept, tool.number, now_s),
         )
 
     def _inhibits(self, asked: frozenset[str]) -> tuple[Inhibit, ...]:

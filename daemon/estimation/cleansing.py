@@ -307,8 +307,8 @@ class Cleansing:
         )
         were, self.levels = self.levels, renewed_levels(self.levels, self._group, seen)
         self.jumped_k = jumped_k(were, self.levels)
-        themselves = np.isin(np.arange(len(degc)), again := undone(were, self.levels))
-        if self.jumped_k is not None or again:
+        if (again := undone(were, self.levels)) or self.jumped_k is not None:
+            themselves = np.isin(np.arange(len(degc)), again)
             self._mean.leave_out(themselves if self.jumped_k is None else themselves | (self.jumped_k != 0.0))
         self._goes_on(cycle.line, were, result.quality, now_s)
         self.gap_ended |= bool(again)

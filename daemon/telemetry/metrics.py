@@ -1,7 +1,9 @@
 """The metrics for Prometheus: delays of every cycle, writes, states, links."""
 
 import ctypes
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache, partial
+from typing import Any
 
 import numpy as np
 import structlog
@@ -55,8 +57,9 @@ class Telemetry:
         """Line and trace of the latest cycle that went all the way to the read-back."""
         self._report_at_real_s: float | None = None
         self._shown_state: OutputState | None = None
-        self._axis_gauges: dict[str, tuple[Gauge, ...]] = {}
-        self._link_gauges: dict[str, Gauge] = {}
+        self._output: tuple[FloatArray, FloatArray, FloatArray] | None = None  # requested, written, applied
+        self._degc: FloatArray = np.array([])
+        self._series: Callable[..., Any] = cache(lambda metric, *labels: metric.labels(*labels))
         self._register_delays(registry)
         self._register_output(registry)
 
@@ -124,7 +127,8 @@ class Telemetry:
             "toolpoint_limit_hits", "Steps in which a limit acted", ["axis", "limit"], registry=registry
         )
         self._link = Gauge("toolpoint_link_up", "1 while the link is up", ["link"], registry=registry)
-        self._sensors = Gauge("toolpoint_sensors_usable", "Sensors with an accepted or held value", registry=registry)
+        sensors = Gauge("toolpoint_sensors_usable", "Sensors with an accepted or held value", registry=registry)
+        sensors.set_function(lambda: float(np.isfinite(self._degc).sum()))
         self._acknowledged = Gauge(
             "toolpoint_history_acknowledged_cycle", "Number of the last committed cycle", ["line"], registry=registry
         )
@@ -136,7 +140,7 @@ class Telemetry:
 
     def cycle(self, cycle: TemperatureCycle) -> None:
         """Count a cycle that has arrived, and what the machine's side of its delay was."""
-        self._cycles.labels(cycle.line, _word(cycle.complete)).inc()
+        self._series(self._cycles, cycle.line, _word(cycle.complete)).inc()
         delay = self._cycle_delays.of(cycle.line, cycle.trace)
         if delay is not None:
             self._observe("sampling_wait", delay.sampling_wait_s, delay.complete)
@@ -155,8 +159,8 @@ class Telemetry:
         for stage in ("cleansed", "estimated", "written", "read_back"):
             instant = getattr(trace, stage)
             if instant is not None:
-                self._stage.labels(stage).observe(instant.real_s - last.real_s)
-                self._last.labels(line, stage).set(instant.real_s - last.real_s)
+                self._series(self._stage, stage).observe(instant.real_s - last.real_s)
+                self._series(self._last, line, stage).set(instant.real_s - last.real_s)
         delay = self._cycle_delays.of(line, trace)
         if trace.read_back is None:
             return
@@ -168,7 +172,7 @@ class Telemetry:
 
     def _observe(self, part: str, seconds: float, complete: bool) -> None:
         (self.delays if complete else self.incomplete)[part].add(seconds)
-        self._delay.labels(part, _word(complete)).observe(seconds)
+        self._series(self._delay, part, _word(complete)).observe(seconds)
 
     def echoed(self, line: str, trace: Trace) -> None:
         """Record that the guard has applied what this cycle's estimate led to."""
@@ -217,33 +221,32 @@ class Telemetry:
         )
 
     def write(self, receipt: Receipt) -> None:
-        self._writes.labels(receipt.outcome.name.lower()).inc()
+        self._series(self._writes, receipt.outcome.name.lower()).inc()
 
     def output(self, command: CompensationCommand, applied_um: FloatArray) -> None:
         if command.state is not self._shown_state:
             self._shown_state = command.state
             for state, gauge in self._state.items():
                 gauge.set(1.0 if state is command.state else 0.0)
-        for index, axis in enumerate(command.axes):
-            if (gauges := self._axis_gauges.get(axis)) is None:
-                gauges = tuple(self._axis.labels(axis, what) for what in ("requested", "written", "applied"))
-                self._axis_gauges[axis] = gauges
-            for gauge, values_um in zip(
-                gauges, (command.requested_um, command.compensation_um, applied_um), strict=True
-            ):
-                gauge.set(values_um[index])
+        first, self._output = self._output is None, (command.requested_um, command.compensation_um, applied_um)
+        if first:
+            for index, axis in enumerate(command.axes):
+                for place, what in enumerate(("requested", "written", "applied")):
+                    self._axis.labels(axis, what).set_function(partial(self._output_um, place, index))
         for hit in command.limits_hit:
             axis, _, limit = hit.partition(":")
-            self._limits.labels(axis, limit).inc()
+            self._series(self._limits, axis, limit).inc()
+
+    def _output_um(self, what: int, axis: int) -> float:
+        assert self._output is not None
+        return float(self._output[what][axis])
 
     def links(self, up: Iterable[tuple[str, bool]]) -> None:
         for name, is_up in up:
-            if (gauge := self._link_gauges.get(name)) is None:
-                gauge = self._link_gauges[name] = self._link.labels(name)
-            gauge.set(1.0 if is_up else 0.0)
+            self._series(self._link, name).set(1.0 if is_up else 0.0)
 
     def sensors_usable(self, degc: FloatArray) -> None:
-        self._sensors.set(np.isfinite(degc).sum())
+        self._degc = degc
 
     def acknowledged(self, line: str, number: int) -> None:
         self._acknowledged.labels(line).set(number)

@@ -50,7 +50,7 @@ def nose_errors_um(sources: Sequence[AxisSource], estimate: ThermalErrorEstimate
 
     `sources`: one per axis, in the machine's order. `estimate`: thermal error per model channel [um].
     """
-    by_channel = dict(zip(estimate.channels, estimate.thermal_error_um, strict=True))
+    by_channel = dict(zip(estimate.channels, estimate.thermal_error_um.tolist(), strict=True))
     errors = (np.nan if source.channel is None else by_channel.get(source.channel, np.nan) for source in sources)
     return np.array(list(errors), dtype=np.float64)
 

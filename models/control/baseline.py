@@ -57,11 +57,11 @@ def follow_tool(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
     `memory`: after `follow_reference`. `inputs`: `tool_setting` tells the axes, `tool_number` the tool [-].
     """
     axes = inputs.tool_setting
-    if axes is None or memory.reference_id is None or not np.all(np.isfinite(inputs.applied_um)):
+    if axes is None or memory.reference_id is None or not np.isfinite(inputs.applied_um).all():
         return memory
     if inputs.output_fault is not None:
         return memory
-    error = memory.error_um if memory.error_um is not None else np.zeros_like(memory.command_um)
+    error = memory.error_um if memory.error_um is not None else np.zeros(len(memory.command_um))
     before = memory.tools.get(inputs.tool_number)
     unset = np.full_like(memory.command_um, np.nan)
     chosen = np.array(axes, dtype=bool)
@@ -100,14 +100,14 @@ def rest_of_tool(memory: OutputMemory, inputs: OutputInputs) -> tuple[FloatArray
     """
     tool = memory.tools.get(inputs.tool_number)
     if tool is None:
-        return memory.baseline_um, np.zeros_like(memory.baseline_um)
+        return memory.baseline_um, np.zeros(len(memory.baseline_um))
     own = np.isfinite(tool.baseline_um)
     return np.where(own, tool.baseline_um, memory.baseline_um), np.where(own, tool.error_um, 0.0)
 
 
 def model_shift_um(memory: OutputMemory) -> FloatArray:
     """Return what is added to the estimate so that changes of model move nothing, shape (n_axes,) [um]."""
-    return np.zeros_like(memory.command_um) if memory.model_shift_um is None else memory.model_shift_um
+    return np.zeros(len(memory.command_um)) if memory.model_shift_um is None else memory.model_shift_um
 
 
 def request_um(memory: OutputMemory, inputs: OutputInputs) -> FloatArray:
@@ -140,7 +140,7 @@ def follow_error(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimit
     known = np.isfinite(error_um)
     if not known.any() or not np.isfinite(inputs.estimate_age_s):
         return memory
-    before = memory.error_um if memory.error_um is not None else np.zeros_like(inputs.thermal_error_um)
+    before = memory.error_um if memory.error_um is not None else np.zeros(len(inputs.thermal_error_um))
     trusted = inputs.in_domain and inputs.confidence >= limits.min_confidence
     return replace(
         memory,
@@ -166,21 +166,21 @@ def _without_reference(memory: OutputMemory, inputs: OutputInputs) -> OutputMemo
 def _new_reference(memory: OutputMemory, inputs: OutputInputs, stale_after_s: float) -> OutputMemory:
     if inputs.reference_id is None:
         return _without_reference(replace(memory, reference_id=None, settling=False), inputs)
-    if not (inputs.link and np.all(np.isfinite(inputs.applied_um))):
+    if not (inputs.link and np.isfinite(inputs.applied_um).all()):
         return memory
     return replace(
         memory,
         reference_id=inputs.reference_id,
         model_id=inputs.model_id,
         baseline_um=inputs.applied_um.copy(),
-        offset_um=np.zeros_like(memory.offset_um),
+        offset_um=np.zeros(len(memory.offset_um)),
         probed=known_bias(memory, inputs.now_s).begin(inputs.now_s / 60.0),
         command_um=memory.command_um if memory.state is OutputState.FAULT else inputs.applied_um.copy(),
         settling=memory.state in SETTLING_STATES,
         settling_axes=(),
         pending_um=inputs.written_um,
         model_shift_um=None,
-        error_um=np.zeros_like(memory.command_um),
+        error_um=np.zeros(len(memory.command_um)),
         error_s=inputs.now_s,
         error_reference_id=inputs.reference_id,
         found_wrong_um=0.0,
@@ -205,7 +205,7 @@ def _tools_since(
         if (unsure := tools.get(number)) is not None:
             tools[number] = replace(unsure, found_wrong_um=np.full_like(memory.command_um, -UNKNOWN_UM))
     if not inputs.tools_in_question and (here := tools.get(inputs.tool_number)) is not None:
-        nothing = np.zeros_like(memory.command_um)
+        nothing = np.zeros(len(memory.command_um))
         baseline = np.where(np.isfinite(here.baseline_um), inputs.applied_um, np.nan)
         tools[inputs.tool_number] = ToolBaseline(baseline_um=baseline, error_um=nothing, offset_um=nothing)
     return MappingProxyType(tools)
@@ -227,7 +227,7 @@ def _settle(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
     if memory.state not in SETTLING_STATES or memory.to_zero or inputs.zero_first:
         return replace(memory, settling=False)
     applied = inputs.applied_um
-    if not (inputs.link and np.all(np.isfinite(applied))):
+    if not (inputs.link and np.isfinite(applied).all()):
         return memory
     moved = (np.abs(applied - memory.command_um) > SETTLED_UM) & _on_the_way(memory, applied)
     if memory.settling_axes:
@@ -276,7 +276,7 @@ def _follow_model(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
         shift = np.full_like(memory.command_um, np.nan)
     elif not np.isnan(shift).any():
         return memory
-    before = memory.error_um if memory.error_um is not None else np.zeros_like(memory.command_um)
+    before = memory.error_um if memory.error_um is not None else np.zeros(len(memory.command_um))
     begins = np.isnan(shift) & np.isfinite(inputs.thermal_error_um)
     goes_on = before - inputs.thermal_error_um
     if inputs.follows is not None and inputs.follows[0] == memory.model_id:

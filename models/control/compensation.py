@@ -80,7 +80,7 @@ def initial_memory(*, now_s: float, applied_um: FloatArray, wanted: tuple[bool, 
     `now_s`: monotonic time [s]. `applied_um`: the guard's echo, shape (n_axes,) [um]; every value must be finite.
     `wanted`: axes that a person had switched on before the restart.
     """
-    if not np.all(np.isfinite(applied_um)):
+    if not np.isfinite(applied_um).all():
         raise ValueError("the CNC's echo is vacant or not a number; commissioning initialises it")
     moved = bool(np.any(np.abs(applied_um) > ZERO_UM))
     axes = len(applied_um)
@@ -140,7 +140,7 @@ def first_inhibit(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimi
         return inputs.inhibits[0]
     if not inputs.link:
         return Inhibit(code=InhibitCode.LINK, text="no link to the CNC")
-    if not np.all(np.isfinite(inputs.applied_um)):
+    if not np.isfinite(inputs.applied_um).all():
         return Inhibit(code=InhibitCode.ECHO, text="the CNC's echo is vacant")
     if inputs.reference_id is None:
         ended = inputs.reference_ended or "the NC program has not passed its positioning"
@@ -193,8 +193,7 @@ def _heed_requests(memory: OutputMemory, inputs: OutputInputs, limits: OutputLim
 def _change_state(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> OutputMemory:
     inhibit = follow_inhibit(memory, inputs, limits)
     why = "" if inhibit is None else str(inhibit)
-    known = bool(np.all(np.isfinite(inputs.applied_um)))
-    zero = known and bool(np.all(np.abs(inputs.applied_um) <= ZERO_UM))
+    known = bool(np.isfinite(inputs.applied_um).all())
     any_wanted = any(memory.wanted)
     holds = {
         Condition.OUTPUT_FAULT: inputs.output_fault is not None,
@@ -204,7 +203,7 @@ def _change_state(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimi
         Condition.READY: inhibit is None and any_wanted,
         Condition.BAD_INPUT: inhibit is not None,
         Condition.HELD_TOO_LONG: inputs.now_s - memory.since_s > limits.hold_limit_s,
-        Condition.RETREATED: inputs.link and zero and bool(np.all(memory.command_um == 0.0)),
+        Condition.RETREATED: memory.state is OutputState.RETREAT and known and inputs.link and _at_zero(memory, inputs),
         Condition.ACKNOWLEDGED: inputs.request.acknowledge > 0 and inputs.link and known and not inputs.output_fault,
     }
     for condition, target in TRANSITIONS[memory.state]:
@@ -215,6 +214,10 @@ def _change_state(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimi
     elif memory.state not in (OutputState.ARMED, OutputState.HOLD):
         return memory
     return memory if why in ("", memory.reason) else replace(memory, reason=why)
+
+
+def _at_zero(memory: OutputMemory, inputs: OutputInputs) -> bool:
+    return bool((np.abs(inputs.applied_um) <= ZERO_UM).all() and (memory.command_um == 0.0).all())
 
 
 def _enter(
@@ -252,11 +255,11 @@ def _where_withdrawn(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory
 def _request(memory: OutputMemory, inputs: OutputInputs) -> FloatArray:
     """Return where each axis should go [um], before any limit."""
     to_zero = memory.to_zero or inputs.zero_first or memory.reference_id is None
-    retreat = np.zeros_like(memory.command_um) if to_zero else rest_of_tool(memory, inputs)[0]
+    retreat = np.zeros(len(memory.command_um)) if to_zero else rest_of_tool(memory, inputs)[0]
     if memory.state is OutputState.RETREAT:
         return retreat
     if memory.state is OutputState.OFF:
-        return np.zeros_like(memory.command_um)
+        return np.zeros(len(memory.command_um))
     if memory.state is OutputState.ACTIVE and not memory.settling:
         request = np.where(memory.wanted, request_um(memory, inputs), retreat)
         return np.where(np.isfinite(request), request, memory.command_um)
@@ -273,16 +276,16 @@ def _limit(
     current = memory.command_um
     if memory.state is OutputState.FAULT or not inputs.link:
         return current.copy(), ()
-    bounded = np.clip(requested, -limits.absolute_bound_um, limits.absolute_bound_um)
+    bounded = _within(requested, -limits.absolute_bound_um, limits.absolute_bound_um)
     follows = memory.state is OutputState.ACTIVE
     still = np.abs(bounded - current) < limits.deadband_um
     target = np.where(follows & still & np.array(memory.wanted, dtype=bool), current, bounded)
     elapsed_s = min(max(inputs.now_s - memory.last_s, 0.0), LONGEST_INTERVAL_S)
     reach = limits.slew_um_per_min * (elapsed_s / 60.0)
-    slewed = current + np.clip(target - current, -reach, reach)
+    slewed = current + _within(target - current, -reach, reach)
     lower, upper = inputs.applied_um - limits.step_um, inputs.applied_um + limits.step_um
     lower, upper = np.minimum(lower, current), np.maximum(upper, current)
-    stepped = np.where(np.isfinite(inputs.applied_um), np.clip(slewed, lower, upper), current)
+    stepped = np.where(np.isfinite(inputs.applied_um), _within(slewed, lower, upper), current)
     hit = tuple(
         f"{axis}:{name}"
         for name, acted in (
@@ -290,10 +293,14 @@ def _limit(
             ("slew", slewed != target),
             ("step", stepped != slewed),
         )
-        for axis, yes in zip(limits.axes, acted, strict=True)
+        for axis, yes in zip(limits.axes, acted.tolist(), strict=True)
         if yes
     )
     return stepped, hit
+
+
+def _within(values: FloatArray, lowest: FloatArray, highest: FloatArray) -> FloatArray:
+    return np.minimum(np.maximum(values, lowest), highest)
 
 
 def _enable_bits(memory: OutputMemory, inputs: OutputInputs) -> tuple[bool, ...]:
@@ -301,4 +308,4 @@ def _enable_bits(memory: OutputMemory, inputs: OutputInputs) -> tuple[bool, ...]
     if memory.state in (OutputState.OFF, OutputState.FAULT):
         return (False,) * len(memory.wanted)
     carries = (np.abs(inputs.applied_um) > ZERO_UM) | (memory.command_um != 0.0) | ~np.isfinite(inputs.applied_um)
-    return tuple(bool(on or busy) for on, busy in zip(memory.wanted, carries, strict=True))
+    return tuple(bool(on or busy) for on, busy in zip(memory.wanted, carries.tolist(), strict=True))

@@ -30,15 +30,15 @@ def tool_unsure_um(memory: OutputMemory, tool_number: int, found_wrong_um: float
     """
     tool = memory.tools.get(tool_number)
     if tool is None:
-        return np.zeros_like(memory.command_um)
+        return np.zeros(len(memory.command_um))
     return np.where(np.isfinite(tool.baseline_um), found_wrong_um - tool.found(memory.command_um), 0.0)
 
 
 def _offset_unsure_um(memory: OutputMemory, tool_number: int, found_wrong_um: float) -> FloatArray:
     """Return by how much probes and changes of model may be off, shape (n_axes,) [um]."""
     if memory.counted_found_um is None:
-        return np.zeros_like(memory.command_um)
-    unsure_um = np.nan_to_num(found_wrong_um - memory.counted_found_um)
+        return np.zeros(len(memory.command_um))
+    unsure_um = np.where(np.isnan(memory.counted_found_um), 0.0, found_wrong_um - memory.counted_found_um)
     tool = memory.tools.get(tool_number)
     if tool is None:
         return unsure_um
@@ -54,9 +54,10 @@ def measured_inhibit(memory: OutputMemory, inputs: OutputInputs, limits: OutputL
     """
     of_tool_um = tool_unsure_um(memory, inputs.tool_number, inputs.found_wrong_um)
     unsure_um = np.maximum(of_tool_um, _offset_unsure_um(memory, inputs.tool_number, inputs.found_wrong_um))
-    places = np.flatnonzero((unsure_um > UNSURE_UM) & np.array(memory.wanted, dtype=bool))
-    if not len(places):
+    unsure = (unsure_um > UNSURE_UM) & memory.wanted
+    if not unsure.any():
         return None
+    places = np.flatnonzero(unsure)
     worst = int(places[np.argmax(unsure_um[places])])
     what = f"tool T{inputs.tool_number} was set" if of_tool_um[worst] > UNSURE_UM else "a probe or a new model counted"
     return Inhibit(

@@ -9,7 +9,7 @@ A reference never moves the output: what is applied when it comes into force bec
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from enum import StrEnum
 from types import MappingProxyType
@@ -101,7 +101,7 @@ TRANSITIONS: dict[ReferenceState, tuple[tuple[Condition, ReferenceState], ...]] 
 
 
 def on_sample(
-    memory: ReferenceMemory, polled: CncSample, rules: ReferenceRules, *, asked_s: float, new_id: str
+    memory: ReferenceMemory, polled: CncSample, rules: ReferenceRules, *, asked_s: float, new_id: Callable[[], str]
 ) -> Step:
     """Take one poll of the CNC: a positioning may have passed, or the reference have ended.
 
@@ -116,7 +116,7 @@ def on_sample(
     asked_s
         Monotonic time at which the control was asked for it [s]; what it shows is no older.
     new_id
-        Identity of the reference that is asked for, if one is.
+        Gives the identity of the reference that is asked for, if one is.
 
     Returns
     -------
@@ -140,7 +140,7 @@ def on_sample(
         effects += more
     if passed:
         source = f"O{sample.program} N{sample.sequence_number}"
-        memory, more = request(replace(memory, positioning_seen=True), new_id, source, positioning=True)
+        memory, more = request(replace(memory, positioning_seen=True), new_id(), source, positioning=True)
         effects += more
     return memory, effects
 

@@ -17,12 +17,15 @@ from models.control.reference_records import (
     ReferenceRules,
     ReferenceState,
     ReferenceTakenUp,
+    ToolSeen,
 )
 from models.control.state import OutputMemory, ToolBaseline
 from models.records import CncSample
 
 
-def document_of(memory: ReferenceMemory, rules: ReferenceRules, request_counter: int | None) -> ReferenceDocument:
+def document_of(
+    memory: ReferenceMemory, rules: ReferenceRules, request_counter: int | None, tool: ToolSeen | None = None
+) -> ReferenceDocument:
     """Return what a restart takes up again; what was only asked for is not, and ends what the work had before."""
     state, ended = memory.state, memory.ended
     if state is ReferenceState.VALID and any(asked.positioning for asked in memory.requests):
@@ -37,6 +40,7 @@ def document_of(memory: ReferenceMemory, rules: ReferenceRules, request_counter:
         request_counter=request_counter,
         seen=seen,
         counts_with=rules.counts_with,
+        tool=tool,
     )
 
 

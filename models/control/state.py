@@ -102,7 +102,7 @@ class ToolBaseline:
 
     def found(self, like: FloatArray) -> FloatArray:
         """Return `found_wrong_um` per axis, of the shape of `like` [um]."""
-        return np.zeros_like(like) if self.found_wrong_um is None else self.found_wrong_um
+        return np.zeros(len(like)) if self.found_wrong_um is None else self.found_wrong_um
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -26,7 +26,7 @@ def alarm(state: OutputState, *, refusals: int, now_s: float = 10.0) -> str:
     watch = GuardWatch()
     watch.refusals = refusals
     echo = Echo(applied_um=np.array([5.0]), time_s=1.0, status=INCH, guard_version=1.0)
-    return alarm_of(memory_in(state), echo, now_s=now_s, guard=watch, config=OutputConfig(), inhibit=None)
+    return alarm_of(memory_in(state), echo, now_s=now_s, guard=watch, config=OutputConfig(), inhibit=lambda: None)
 
 
 @pytest.mark.parametrize("state", [OutputState.ACTIVE, OutputState.HOLD, OutputState.RETREAT])
@@ -57,7 +57,7 @@ def told(*statuses: int, state: OutputState = OutputState.ACTIVE) -> str:
     for run, status in enumerate(statuses, start=1):
         echo = replace(echo, time_s=float(run), status=status)
         watch.follow(echo, cnc_sample(float(run)))
-    return alarm_of(memory_in(state), echo, now_s=10.0, guard=watch, config=OutputConfig(), inhibit=None)
+    return alarm_of(memory_in(state), echo, now_s=10.0, guard=watch, config=OutputConfig(), inhibit=lambda: None)
 
 
 def test_a_slope_that_is_on_its_way_twice_is_an_alarm_that_does_not_say_that_nothing_was_applied() -> None:

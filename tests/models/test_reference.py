@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from itertools import count
 
 import hypothesis.strategies as st
@@ -80,7 +81,9 @@ def answered(question):
 
 
 def polled(memory, polled_sample, rules=RULES):
-    return reference.on_sample(memory, polled_sample, rules, asked_s=polled_sample.time.monotonic_s, new_id="next")
+    return reference.on_sample(
+        memory, polled_sample, rules, asked_s=polled_sample.time.monotonic_s, new_id=lambda: "next"
+    )
 
 
 def asked_for(memory, identity="r1", **how):
@@ -534,7 +537,7 @@ class Workshop(RuleBasedStateMachine):
             power_on_count=self.power_on,
             macros={560: float(self.positioned)},
         )
-        self._take(reference.on_sample(self.memory, found, self.rules, asked_s=asked_s, new_id=next(self.ids)))
+        self._take(reference.on_sample(self.memory, found, self.rules, asked_s=asked_s, new_id=partial(next, self.ids)))
         risen, self.seen_counter = self.counter - self.seen_counter, self.counter
         if risen > 1:
             self._take(reference.end(self.memory, "requests were missed"))

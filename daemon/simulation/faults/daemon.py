@@ -153,14 +153,16 @@ class CampaignDaemon:
         """Tell whether time must wait for the disk: it works, but is behind, or has not been tried again."""
         if self._history is None:
             return False
+        problem, due = self._history.problem, self._clock.monotonic_s - self._committed_s >= COMMIT_EVERY_S
+        if not (problem or due) or not self._history.waiting:
+            return False
         if resource.getrlimit(resource.RLIMIT_FSIZE)[0] != resource.RLIM_INFINITY:
             return False
-        if self._history.problem and self._history.waiting:
+        if problem:
             return True
-        if self._history.waiting and self._clock.monotonic_s - self._committed_s >= COMMIT_EVERY_S:
-            self._committed_s = self._clock.monotonic_s
-            with suppress(OSError, sqlite3.Error, HistoryError):
-                self._history.submit(lambda _connection: None).result(COMMIT_PATIENCE_S)
+        self._committed_s = self._clock.monotonic_s
+        with suppress(OSError, sqlite3.Error, HistoryError):
+            self._history.submit(lambda _connection: None).result(COMMIT_PATIENCE_S)
         return False
 
     def _claims(self) -> tuple[Any, ...]:
