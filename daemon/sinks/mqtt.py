@@ -90,9 +90,9 @@ def entities(values: Mapping[str, Any]) -> Iterator[Entity]:
     yield Entity(component="sensor", object_id="state", name="State", template="{{ value_json.state }}")
     yield Entity(component="sensor", object_id="reason", name="Reason", template=text % "reason")
     yield Entity(component="sensor", object_id="alarm_text", name="Alarm text", template=text % "alarm")
-    alarm = "{{ 'ON' if value_json.%s else 'OFF' }}"
+    alarm = "{{ 'None' if value_json.%s is none else 'ON' if value_json.%s else 'OFF' }}"  # None is not known
     for name, words in (("alarm", "Alarm"), ("cnc_alarm", "CNC alarm")):
-        yield Entity(component="binary_sensor", object_id=name, name=words, template=alarm % name, more=PROBLEM)
+        yield Entity(component="binary_sensor", object_id=name, name=words, template=alarm % (name, name), more=PROBLEM)
     for name, (object_id, words, unit) in BY_NAME.items():
         for key in values[name]:
             template = f"{{{{ value_json.{name}[{json.dumps(key, ensure_ascii=False)}] }}}}"

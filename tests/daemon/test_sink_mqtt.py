@@ -132,6 +132,9 @@ def test_what_is_now_is_retained_and_home_assistant_is_told(port: int, tmp_path:
     assert shown["State"] == "ACTIVE" and shown["Alarm"] == shown["CNC alarm"] == "OFF"
     assert shown["Compensation Y"] == "5.0" and shown["Temperature A"] == "25.125"
     assert shown["Thermal error without compensation dy"] == "None", "unknown to Home Assistant"
+    (of_cnc,) = (content["value_template"] for _, content in told if content["name"] == "CNC alarm")
+    for cnc_alarm, seen in ((True, "ON"), (None, "None")):
+        assert jinja2.Template(of_cnc).render(value_json=state | {"cnc_alarm": cnc_alarm}) == seen
     for topic, content in told:
         component, device, name, last = topic.removeprefix("homeassistant/").split("/")
         assert component in ("sensor", "binary_sensor") and last == "config"
