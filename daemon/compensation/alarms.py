@@ -19,7 +19,8 @@ ASKS_THE_GUARD = (OutputState.ACTIVE, OutputState.HOLD, OutputState.RETREAT)
 class GuardWatch:
     """Counts the time in which the program runs and the time in the guard's echo stands still."""
 
-    def __init__(self) -> None:
+    def __init__(self, config: OutputConfig) -> None:
+        self.config = config
         self._echo_time_s: float | None = None
         self._previous_s: float | None = None
         self.silent_s = 0.0
@@ -42,19 +43,18 @@ class GuardWatch:
 
 def alarm_of(
     memory: OutputMemory,
+    command: CompensationCommand | None,
     echo: Echo | None,
     *,
     now_s: float,
     guard: GuardWatch,
-    config: OutputConfig,
     inhibit: Callable[[], Inhibit | None],
-    command: CompensationCommand | None = None,
 ) -> str:
     """Return the alarm that the output's state calls for, '' when there is none; `inhibit`: why nothing is followed."""
     if memory.state is OutputState.FAULT:
         return f"FAULT: {memory.reason}; `toolpoint acknowledge` clears it"
     beyond = _beyond_bounds(memory, command) if command is not None else ()
-    return "; ".join([*_alarms(memory, echo, now_s, guard, config, inhibit), *beyond])
+    return "; ".join([*_alarms(memory, echo, now_s, guard, inhibit), *beyond])
 
 
 def _beyond_bounds(memory: OutputMemory, command: CompensationCommand) -> Iterator[str]:
@@ -76,10 +76,10 @@ def _alarms(
     echo: Echo | None,
     now_s: float,
     guard: GuardWatch,
-    config: OutputConfig,
     inhibit: Callable[[], Inhibit | None],
 ) -> Iterator[str]:
     """Yield what is wrong at the guard, and what has been held for too long."""
+    config = guard.config
     if memory.state in ASKS_THE_GUARD and max(guard.refusals, guard.nearing) >= REFUSALS and echo is not None:
         of_slope = SLOPE_SAYS.get(echo.status or 0)
         yield of_slope or f"the guard does not apply the block (status {echo.status}, see docs/reference/macros.md)"

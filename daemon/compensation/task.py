@@ -52,7 +52,6 @@ class ControlTask:
 
     def __init__(self, parts: ControlParts) -> None:
         configuration, history = parts.configuration, parts.history
-        self._output = configuration.compensation.output
         self._parts, self._clock, self._link = parts, parts.clock, parts.link
         self.limits, self.journal = parts.limits, parts.journal
         self.modelled = parts.interlocks.modelled
@@ -63,7 +62,7 @@ class ControlTask:
         self.skill = SkillWatch(self._sources, configuration, self.journal.notice)
         self._measured = MeasuredByNc(self.limits, history, self.journal, self.skill, self._references, self._now)
         self._desk = RequestDesk(handshake, self._references, self.journal, self._measured)
-        self.guard_watch = GuardWatch()
+        self.guard_watch = GuardWatch(configuration.compensation.output)
         self._echo_watch = EchoWatch(parts.telemetry, echo_slack_um(configuration), history.write_echoed)
         self.writer = BlockWriter(self._clock, parts.telemetry, self.journal, self._echo_watch, parts.validity_s)
         self._startup = StartupRecovery(
@@ -128,7 +127,7 @@ class ControlTask:
         """Serve until stopped: messages and estimates as they come, polls and ticks as they fall due."""
         shortest_s, now_s = SHORTEST_POLL_REAL_S * self._clock.speed, self._clock.now().monotonic_s
         poll = Cadence(max(self._parts.configuration.cnc.poll_period_s, shortest_s), now_s)
-        tick = Cadence(max(self._output.tick_s, poll.period_s), now_s)
+        tick = Cadence(max(self._parts.configuration.compensation.output.tick_s, poll.period_s), now_s)
         while not self._stopping:
             await self._sleep_until(poll.next_s)
             now_s = self._clock.now().monotonic_s
@@ -256,15 +255,7 @@ class ControlTask:
     def _record(self, before: OutputMemory, after: OutputMemory, inputs: OutputInputs) -> None:
         inhibit = partial(follow_inhibit, after, inputs, self.limits)
         echo = self.session.echo if self.session is not None else None
-        alarm = alarm_of(
-            after,
-            echo,
-            now_s=inputs.now_s,
-            guard=self.guard_watch,
-            config=self._output,
-            inhibit=inhibit,
-            command=self.command,
-        )
+        alarm = alarm_of(after, self.command, echo, now_s=inputs.now_s, guard=self.guard_watch, inhibit=inhibit)
         record_changes(self.journal, before, after, alarm)
         self._startup.keep(after.wanted)
 

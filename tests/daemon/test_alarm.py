@@ -23,10 +23,10 @@ def memory_in(state: OutputState) -> OutputMemory:
 
 
 def alarm(state: OutputState, *, refusals: int, now_s: float = 10.0) -> str:
-    watch = GuardWatch()
+    watch = GuardWatch(OutputConfig())
     watch.refusals = refusals
     echo = Echo(applied_um=np.array([5.0]), time_s=1.0, status=INCH, guard_version=1.0)
-    return alarm_of(memory_in(state), echo, now_s=now_s, guard=watch, config=OutputConfig(), inhibit=lambda: None)
+    return alarm_of(memory_in(state), None, echo, now_s=now_s, guard=watch, inhibit=lambda: None)
 
 
 @pytest.mark.parametrize("state", [OutputState.ACTIVE, OutputState.HOLD, OutputState.RETREAT])
@@ -52,12 +52,12 @@ def test_a_long_hold_is_one_alarm_however_long_it_lasts() -> None:
 
 def told(*statuses: int, state: OutputState = OutputState.ACTIVE) -> str:
     """Return the alarm after so many runs of the guard."""
-    watch, echo = GuardWatch(), Echo(applied_um=np.array([5.0]), time_s=0.0, status=0, guard_version=2.0)
+    watch, echo = GuardWatch(OutputConfig()), Echo(applied_um=np.array([5.0]), time_s=0.0, status=0, guard_version=2.0)
     watch.follow(echo, cnc_sample(0.0))
     for run, status in enumerate(statuses, start=1):
         echo = replace(echo, time_s=float(run), status=status)
         watch.follow(echo, cnc_sample(float(run)))
-    return alarm_of(memory_in(state), echo, now_s=10.0, guard=watch, config=OutputConfig(), inhibit=lambda: None)
+    return alarm_of(memory_in(state), None, echo, now_s=10.0, guard=watch, inhibit=lambda: None)
 
 
 def test_a_slope_that_is_on_its_way_twice_is_an_alarm_that_does_not_say_that_nothing_was_applied() -> None:
