@@ -63,7 +63,8 @@ def _beyond_bounds(memory: OutputMemory, command: CompensationCommand) -> Iterat
         return
     short_um = np.abs(command.requested_um - command.compensation_um)
     for axis, um, wanted in zip(command.axes, short_um, memory.wanted, strict=True):
-        if wanted and um > UNSURE_UM and f"{axis}:bound" in command.limits_hit:
+        hit = [limit for limit in command.limits_hit if limit.partition(":")[0] == axis]
+        if wanted and um > UNSURE_UM and hit == [f"{axis}:bound"]:  # on its way it has met others too
             yield (
                 f"axis {axis} has reached its bound: it stands {um:.1f} um short of what the estimate asks for; take "
                 "the offset out (`toolpoint disable --zero`), position the work anew and switch on, or see why it goes "

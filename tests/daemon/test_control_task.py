@@ -75,7 +75,10 @@ async def test_an_axis_that_the_bound_keeps_from_where_the_estimate_is_says_so(r
     await rig.active()
     await rig.follow(0.0, -30.8, 130)
     assert rig.state == "ACTIVE" and rig.control.journal.alarm == ""
-    await rig.follow(0.0, -34.0, 4)
+    await rig.follow(0.0, -20.0, 40)
+    await rig.follow(0.0, -31.5, 2)
+    assert rig.applied["z"] < 29.0 and rig.control.journal.alarm == "", "it is on its way, and has not reached it"
+    await rig.follow(0.0, -34.0, 20)
     assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(30.0, abs=0.11)
     assert "axis z has reached its bound: it stands 4.0 um short" in rig.control.journal.alarm
     await rig.follow(0.0, -29.0, 8)
