@@ -22,6 +22,18 @@ def read_whole(path: Path, most: int = LARGEST_FILE) -> bytes:
     return content
 
 
+def read_closed(path: Path) -> bytes:
+    """Return what a file with a secret holds; raises OSError, also where every user of this computer may read it.
+
+    The group may: systemd gives a service its credentials by an access list, which shows as the group's.
+    """
+    content, mode = read_whole(path), stat.S_IMODE(path.stat().st_mode)
+    if mode & stat.S_IRWXO:
+        open_to_all = f"it is open to every user of this computer (mode {mode:o}); run: chmod o-rwx {path}"
+        raise OSError(errno.EACCES, open_to_all, str(path))
+    return content
+
+
 def without_waiting(path: str, flags: int) -> int:
     """Open a file for `open`; a pipe that nobody writes to is opened at once too, as an empty one."""
     return os.open(path, flags | os.O_NONBLOCK)

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from config.files import read_whole
+from config.files import read_closed
 
 LONGEST_SECRET = 8192
 
@@ -14,7 +14,7 @@ class SecretError(Exception):
 def read_secret(key: str, path: Path) -> str:
     """Return the one line of a file, blanks with it: a password may begin or end with one. Raises SecretError."""
     try:
-        text = read_whole(path).decode("utf-8-sig").rstrip("\r\n")
+        text = read_closed(path).decode("utf-8-sig").rstrip("\r\n")
     except (OSError, UnicodeDecodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "it is no text"
         raise SecretError(

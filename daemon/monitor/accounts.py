@@ -2,7 +2,6 @@
 
 import os
 import re
-import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -11,7 +10,7 @@ from pathlib import Path
 from argon2 import PasswordHasher
 from argon2.exceptions import Argon2Error, InvalidHashError
 
-from config.files import read_whole, stamp_of, write_whole
+from config.files import read_closed, stamp_of, write_whole
 from models.errors import RefusedInputError
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,63}")
@@ -68,15 +67,12 @@ def verified(password_hash: str, password: str) -> bool:
 def read_accounts(path: Path) -> dict[str, Account]:
     """Return the accounts of a file by name; raises AccountsError naming file and line."""
     try:
-        mode = path.stat().st_mode
-        lines = read_whole(path).decode().splitlines()
+        lines = read_closed(path).decode().splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise AccountsError(
             f"{path}: the accounts of the monitor cannot be read ({getattr(error, 'strerror', None) or error}); "
             "`toolpoint users add NAME` makes the file"
         ) from error
-    if mode & stat.S_IRWXO:
-        raise AccountsError(f"{path}: every account of this computer may read the passwords' hashes; chmod o= {path}")
     accounts: dict[str, Account] = {}
     for number, line in enumerate(lines, 1):
         if not line.strip() or line.startswith("#"):

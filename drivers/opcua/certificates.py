@@ -5,7 +5,7 @@ name, equal to the URI that the application calls itself.
 """
 
 import hashlib
-import stat
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 
-from config.files import read_whole
+from config.files import read_closed, read_whole
 from config.schema.cnc_drivers import OpcUaSecurityConfig
 from drivers.contract import FatalDriverError
 
@@ -51,7 +51,7 @@ def load_certificate(path: Path) -> x509.Certificate:
 
 def load_private_key(path: Path) -> rsa.RSAPrivateKey:
     """Return the RSA key in a file, PEM or DER and unencrypted; raises FatalDriverError."""
-    content = read_file(path, "private key")
+    content = read_file(path, "private key", read_closed)
     load = serialization.load_pem_private_key if b"-----BEGIN" in content else serialization.load_der_private_key
     try:
         key = load(content, password=None)
@@ -86,10 +86,10 @@ def chain_thumbprint(chain: bytes) -> str:
     return hashlib.sha256(chain[: header + length]).hexdigest().upper()
 
 
-def read_file(path: Path, what: str) -> bytes:
+def read_file(path: Path, what: str, read: Callable[[Path], bytes] = read_whole) -> bytes:
     """Return a file's bytes; raises FatalDriverError that says what it was wanted for."""
     try:
-        return read_whole(path)
+        return read(path)
     except OSError as error:
         raise FatalDriverError(f"cannot read the {what} {path}: {error.strerror or error}") from error
 
@@ -127,7 +127,6 @@ class OpcUaCredentials:
 def load_pair(certificate_path: Path, key_path: Path) -> tuple[x509.Certificate, rsa.RSAPrivateKey, str]:
     """Return a certificate, its key and its application URI; raises FatalDriverError that names the file."""
     certificate, key = load_certificate(certificate_path), load_private_key(key_path)
-    refuse_readable_by_others(key_path, "private key")
     if (uri := application_uri(certificate)) is None:
         raise FatalDriverError(
             f"the certificate {certificate_path} carries no application URI (subject alternative name); make a new one"
@@ -158,8 +157,7 @@ def load_credentials(config: OpcUaSecurityConfig) -> OpcUaCredentials:
 
 
 def _read_password(path: Path) -> str:
-    content = read_file(path, "password file")
-    refuse_readable_by_others(path, "password file")
+    content = read_file(path, "password file", read_closed)
     try:
         password = content.decode("utf-8").rstrip("\r\n")
     except UnicodeDecodeError as error:
@@ -167,12 +165,3 @@ def _read_password(path: Path) -> str:
     if not password:
         raise FatalDriverError(f"the password file {path} is empty")
     return password
-
-
-def refuse_readable_by_others(path: Path, what: str) -> None:
-    """Raise FatalDriverError when every user of this computer may read a file."""
-    mode = stat.S_IMODE(path.stat().st_mode)
-    if mode & stat.S_IRWXO:
-        raise FatalDriverError(
-            f"the {what} {path} is open to every user of this computer (mode {mode:o}); run: chmod o-rwx {path}"
-        )

@@ -110,6 +110,7 @@ def send(config: SinkConfig, store: Path, wait: Callable[[threading.Event], Call
 
 def into_postgresql(server: Server, store: Path, folder: Path, hours: float, waiting_s: float) -> None:
     (folder / "password").write_text(PASSWORD)
+    (folder / "password").chmod(0o600)
     there = {"host": "127.0.0.1", "port": server.port, "tls": False, "password_file": folder / "password"}
     config = SinkConfig.model_validate({"name": "plant", "driver": "postgresql", "postgresql": there})
     began_s, used_s = time.monotonic(), processor_s()

@@ -70,6 +70,19 @@ def test_a_file_of_gigabytes_is_refused_by_its_length(tmp_path: Path, what: str)
     assert "longer than" in ending(READERS[what], path)
 
 
+@pytest.mark.parametrize("what", ["secret", "accounts", "private key", "certificate of the monitor"])
+def test_a_secret_that_every_user_may_read_is_refused_with_the_command_that_closes_it(
+    tmp_path: Path, what: str
+) -> None:
+    path = tmp_path / "secret"
+    path.write_text("quite secret 7\n")
+    path.chmod(0o644)
+    said = ending(READERS[what], path)
+    assert "(mode 644); run: chmod" in said and str(path) in said
+    path.chmod(0o640)  # as systemd gives a service its credentials
+    assert "chmod" not in ending(READERS[what], path)
+
+
 def test_a_device_in_place_of_a_file_is_refused() -> None:
     with pytest.raises(OSError, match="it is a pipe or a device"):
         read_whole(Path("/dev/zero"))

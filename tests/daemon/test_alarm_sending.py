@@ -57,6 +57,7 @@ def pki(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pki")
     make_certificate(folder)
     (folder / "password").write_text(PASSWORD + "\n")
+    (folder / "password").chmod(0o600)
     return folder
 
 
@@ -76,6 +77,7 @@ def test_a_mail_arrives_over_tls_with_an_account(pki: Path, encryption: str) -> 
         assert letter["Message-ID"] == f"<{MESSAGE.number}@plant.example>"
         assert "- FAULT, since 2026-02-01 20:28:00-06:00" in letter.get_content()
         (pki / "wrong").write_text("not this one")
+        (pki / "wrong").chmod(0o600)
         said = refusal(mail_sink(box.port, **secured | {"password_file": pki / "wrong"}))
         assert "refuses the account (535" in said and "check `user_name` and `password_file`" in said
         said = refusal(mail_sink(box.port, **secured | {"ca_certificate": None}))
@@ -206,6 +208,7 @@ def test_an_answer_that_refuses_names_what_to_look_at_and_hides_what_is_secret(
         posts.body = f"no: Bearer {PASSWORD} at {posts.url}\x1b[2J".encode()
         address = pki / f"address{status}"
         address.write_text(posts.url)
+        address.chmod(0o600)
         said = refusal(web_sink(None, url_file=address))
         assert f"it answers {status}" in said and word in said
         assert "hooks/42" not in said and "\x1b" not in said and len(posts.asked) == 1
@@ -322,6 +325,7 @@ def test_a_secret_that_cannot_be_read_is_named_and_never_shown(tmp_path: Path, c
     path = tmp_path / "secret"
     if content is not None:
         path.write_bytes(content)
+        path.chmod(0o600)
     account = {"user_name": "tp", "password_file": path, "encryption": "starttls"}
     with mail_server() as box, web_server() as posts:
         for config, key in (

@@ -92,6 +92,7 @@ def server():
 
 def section(server: Server, port: int, folder: Path, **changes: object) -> PlantStoreConfig:
     (folder / "password").write_text(PASSWORD)
+    (folder / "password").chmod(0o600)
     there = {"host": "127.0.0.1", "port": server.port, "tls": False, "password_file": folder / "password"}
     broker = {"host": "127.0.0.1", "port": port, "tls": False} | changes
     return PlantStoreConfig.model_validate({"mqtt": broker, "postgresql": there})

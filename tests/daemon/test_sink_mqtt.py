@@ -448,6 +448,7 @@ def test_a_refusal_names_the_key(guarded: int, tmp_path: Path, changes: dict[str
     store = tmp_path / "h.sqlite"
     fill(store, hours=0.1)
     (tmp_path / "password").write_text(f"{changes.pop('password', 'lathe 7')}\n")
+    (tmp_path / "password").chmod(0o600)
     known = {"user_name": "plant", "password_file": tmp_path / "password", "history": []}
     cursor = send(section(guarded, **known | changes), store)
     assert said in cursor.problem and "sink plant: broker" in cursor.problem

@@ -55,6 +55,7 @@ def server(running_server: Server) -> Server:
 
 def section(server: Server, folder: Path, **changes: object) -> SinkConfig:
     (folder / "password").write_text(f"{PASSWORD}\n")
+    (folder / "password").chmod(0o600)
     known = {"host": "127.0.0.1", "port": server.port, "tls": False, "password_file": folder / "password"}
     return SinkConfig.model_validate({"name": "plant", "driver": "postgresql", "postgresql": known | changes})
 

@@ -90,7 +90,7 @@ def test_a_file_that_everybody_may_read_is_refused(tmp_path):
     path = tmp_path / "users"
     added(path, "anna")
     path.chmod(0o644)
-    with pytest.raises(AccountsError, match="chmod o="):
+    with pytest.raises(AccountsError, match="chmod o-rwx"):
         read_accounts(path)
 
 

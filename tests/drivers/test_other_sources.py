@@ -473,6 +473,7 @@ def broker(tmp_path: Path) -> Iterator[int]:
 def subscribed(port: int, folder: Path, password: str, *sensors: dict[str, Any], period_s: float = 0.05) -> MqttSource:
     secret = folder / "secret"
     secret.write_text(password + "\n")
+    secret.chmod(0o600)
     section = {"host": "127.0.0.1", "port": port, "user_name": "toolpoint", "password_file": str(secret)}
     sensors = sensors or ({**SENSOR, "topic": "m/7"},)
     return MqttSource(source("mqtt", section, *sensors, period_s=period_s), SystemClock())

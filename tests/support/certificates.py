@@ -34,4 +34,5 @@ def make_certificate(folder, days=(-1, 1), host=HOST):
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
     (folder / "monitor.key").write_bytes(secret)
+    (folder / "monitor.key").chmod(0o600)
     return ssl.create_default_context(cafile=str(folder / "monitor.crt"))

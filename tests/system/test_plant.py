@@ -47,6 +47,7 @@ def filled(server: Server, tmp_path_factory: pytest.TempPathFactory) -> Server:
     folder = tmp_path_factory.mktemp("plant")
     (now_s,) = server.ask("SELECT extract(epoch FROM now())::float8")[0]
     (folder / "password").write_text(PASSWORD)
+    (folder / "password").chmod(0o600)
     there = {"host": "127.0.0.1", "port": server.port, "tls": False, "password_file": folder / "password"}
     config = SinkConfig.model_validate({"name": "plant", "driver": "postgresql", "postgresql": there})
     for number, name in enumerate(MACHINES):

@@ -28,6 +28,7 @@ pytestmark = [pytest.mark.wires, pytest.mark.slow, NEEDS_NODE]
 def config(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PostgresqlConfig]:
     password, port = tmp_path_factory.mktemp("timescaledb") / "password", free_port()
     password.write_text("postgres")
+    password.chmod(0o600)
     words = ["node", str(PEER / "server.js"), str(port)]
     with subprocess.Popen(words, env=installed(PEER), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as peer:
         assert peer.stdout is not None and peer.stdout.readline().strip() == "ready"

@@ -14,7 +14,7 @@ from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
-from config.files import read_whole, stamp_of
+from config.files import read_closed, read_whole, stamp_of
 from daemon.monitor.connections import BoundedConnections, Conversation
 from daemon.monitor.listening import listening
 from daemon.monitor.web.gate import CLOSE, HEADERS, SEND_S
@@ -134,7 +134,7 @@ class Certificate:
         """Return what a connection needs, and the names that the certificate is for."""
         context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
-        pem, _ = (read_whole(path) for path in (self._certificate, self._key))  # OpenSSL waits for the end of a pipe
+        pem, _ = read_whole(self._certificate), read_closed(self._key)  # OpenSSL waits for the end of a pipe
         context.load_cert_chain(self._certificate, self._key, password="")  # of an encrypted key nobody is asked
         return context, names_of_certificate(pem)
 
