@@ -276,16 +276,16 @@ def _limit(
     current = memory.command_um
     if memory.state is OutputState.FAULT or not inputs.link:
         return current.copy(), ()
-    bounded = _within(requested, -limits.absolute_bound_um, limits.absolute_bound_um)
+    bounded = np.clip(requested, -limits.absolute_bound_um, limits.absolute_bound_um)
     follows = memory.state is OutputState.ACTIVE
     still = np.abs(bounded - current) < limits.deadband_um
     target = np.where(follows & still & np.array(memory.wanted, dtype=bool), current, bounded)
     elapsed_s = min(max(inputs.now_s - memory.last_s, 0.0), LONGEST_INTERVAL_S)
     reach = limits.slew_um_per_min * (elapsed_s / 60.0)
-    slewed = current + _within(target - current, -reach, reach)
+    slewed = current + np.clip(target - current, -reach, reach)
     lower, upper = inputs.applied_um - limits.step_um, inputs.applied_um + limits.step_um
     lower, upper = np.minimum(lower, current), np.maximum(upper, current)
-    stepped = np.where(np.isfinite(inputs.applied_um), _within(slewed, lower, upper), current)
+    stepped = np.where(np.isfinite(inputs.applied_um), np.clip(slewed, lower, upper), current)
     hit = tuple(
         f"{axis}:{name}"
         for name, acted in (
@@ -297,10 +297,6 @@ def _limit(
         if yes
     )
     return stepped, hit
-
-
-def _within(values: FloatArray, lowest: FloatArray, highest: FloatArray) -> FloatArray:
-    return np.minimum(np.maximum(values, lowest), highest)
 
 
 def _enable_bits(memory: OutputMemory, inputs: OutputInputs) -> tuple[bool, ...]:
