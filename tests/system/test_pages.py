@@ -353,6 +353,7 @@ async def test_a_second_click_asks_once_and_a_login_that_ended_is_asked_for_agai
         await bench.rig.active()
         seen = await watched(browser, f"http://127.0.0.1:{bench.port}/")
         await log_in(seen, "anna")
+        await expect(seen.page.locator("#logout")).to_be_visible(timeout=PATIENCE_MS)
         asked: list[str] = []
         seen.page.on("request", lambda request: asked.append(request.url) if request.method == "POST" else None)
         await seen.page.locator("#do-disable").click()

@@ -163,7 +163,7 @@ function dialog(heading, content, yes, carry, danger = false) {
     event.preventDefault();
     if (form.ariaBusy) return; // a second click
     form.ariaBusy = "true";
-    if (await carry()) ask.close();
+    if (await carry() && form.isConnected) ask.close(); // another question may be open by now
     form.ariaBusy = null;
   });
   ask.replaceChildren(form);
