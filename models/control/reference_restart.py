@@ -172,7 +172,9 @@ def _unseen(left: ReferenceDocument, sample: CncSample, rules: ReferenceRules) -
 
 def _counts_otherwise(left: ReferenceDocument, rules: ReferenceRules) -> str:
     """Return what was changed since, without which nothing that was kept may be counted from; '' when nothing was."""
-    changed = [what for what, mark in left.counts_with.items() if rules.counts_with.get(what, mark) != mark]
+    if left.counts_with.keys() != rules.counts_with.keys():
+        return "another version of the daemon kept it, or one that knew other axes"
+    changed = [what for what, mark in left.counts_with.items() if rules.counts_with[what] != mark]
     return f"{' and '.join(changed)} changed while the daemon was away" if changed else ""
 
 
