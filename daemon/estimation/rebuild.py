@@ -71,9 +71,22 @@ class HistoryBackfill:
         reads = configuration.other_reads
         kept = self._documents.get(ControlRead) or ControlRead(reads=reads, since_utc_s={})
         changed = [name for name, read in reads.items() if kept.reads.get(name, read) != read]
-        since_utc_s = dict(kept.since_utc_s) | dict.fromkeys(changed, self._clock.now().utc_s)
-        self._documents.put(ControlRead(reads=reads, since_utc_s=since_utc_s))
+        since_utc_s = dict(kept.since_utc_s) | (dict.fromkeys(changed, self._after_all_rows_s()) if changed else {})
+        self._documents.put(ControlRead(reads={**kept.reads, **reads}, since_utc_s=since_utc_s))
         return max(since_utc_s.get(name, NOWHERE_S) for name in configuration.cnc.reads)
+
+    def _after_all_rows_s(self) -> float:
+        """Return UTC of now, or of the newest row: a computer without a clock of its own begins far behind it [s]."""
+        now_s = self._clock.now().utc_s
+        if not self._store.is_file():
+            return now_s
+        try:
+            with HistoryReader(self._store, also_on_full_disk=True) as reader:
+                rows = (reader.extent(kind) for kind in ("cnc", "displacements"))
+                return max([now_s, *(to_utc_s for _, to_utc_s in filter(None, rows))])
+        except HistoryError as error:
+            log.error("history.unreadable", problem=str(error))
+            return now_s
 
     def _note_calendar(self) -> float:
         """Note how far the calendar is ahead of the monotonic clock; return by how much it was set [s]."""

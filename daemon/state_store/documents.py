@@ -132,6 +132,7 @@ class ControlRead:
     """What is read as spindle speed, axis positions and displacements, see `Configuration.other_reads`."""
 
     reads: Mapping[str, str]
+    """Also of what is not configured any more."""
     since_utc_s: Mapping[str, float]
     """Since when, where something else was read before [s]."""
 

@@ -223,10 +223,14 @@ async def test_a_machine_that_was_off_over_night_is_followed_from_its_first_refe
     await shop.end()
 
 
+@pytest.mark.parametrize("behind_s", [0.0, 1e6])
 async def test_an_edited_configuration_leaves_nothing_of_another_variable_in_the_lags_of_speed(
-    tmp_path, model_with_speed
+    tmp_path, model_with_speed, behind_s
 ):
-    """For five hours a variable in place of the speed said a fifth of it; then a person named the right one."""
+    """For five hours a variable in place of the speed said a fifth of it; then a person named the right one.
+
+    `behind_s`: a computer without a clock of its own begins where its calendar stood, until a time server answers.
+    """
     found = []
     for share in (1.0, 0.2):
         (folder := tmp_path / str(share)).mkdir()
@@ -236,8 +240,10 @@ async def test_an_edited_configuration_leaves_nothing_of_another_variable_in_the
         for edit, said in ((share < 1.0, share * rpm), (False, rpm), (False, rpm)):
             shop.configuration = with_nodes(right, nodes=OpcUaNodesConfig(spindle_speed="s=Load")) if edit else right
             shop.rpm = said
-            shop.begin()
+            started_anew(shop, 1.0, behind_s)
             await shop.prepare()
+            await shop.run(2)
+            shop.clock.calendar_s += behind_s
             await shop.run(300 if said is not rpm or shop.minute < 1.0 else 4)
             await shop.refer()
             await shop.run(30)
@@ -588,9 +594,9 @@ async def test_of_before_the_computer_s_start_nothing_is_known_once_the_calendar
     await shop.end()
 
 
-def started_anew(shop, minutes=40.0):
+def started_anew(shop, minutes=40.0, behind_s=0.0):
     """The computer is switched off and on again after so many minutes, and its other clock begins anew."""
-    utc_s = shop.clock.now().utc_s + 60.0 * minutes
+    utc_s = shop.clock.now().utc_s + 60.0 * minutes - behind_s
     shop.clock.monotonic_s = 100.0
     shop.clock.calendar_s = utc_s - 100.0
     shop.minute += minutes

@@ -123,7 +123,7 @@ def test_training_data_are_measured_minus_applied(machine: tuple[Installation, C
     assert recording.temperature_names == tuple(f"T{sensor_id}" for sensor_id in SENSOR_IDS)
 
 
-@pytest.mark.parametrize("of", ["sensors", "control", "gauge"])
+@pytest.mark.parametrize("of", ["sensors", "control", "gauge", "gauge away"])
 def test_nothing_is_trained_on_of_before_the_configuration_reads_what_it_reads_now(
     machine: tuple[Installation, Configuration, float], tmp_path: Path, of: str
 ) -> None:
@@ -135,14 +135,17 @@ def test_nothing_is_trained_on_of_before_the_configuration_reads_what_it_reads_n
     other_spindle = configuration.cnc.opcua.model_copy(update={"nodes": OpcUaNodesConfig(spindle_speed="s=Speed.2")})
     cnc = configuration.cnc.model_copy(update={"opcua": other_spindle})
     edited = rewired(configuration, EXCHANGED) if of == "sensors" else configuration.model_copy(update={"cnc": cnc})
-    if of == "gauge":  # it was wired the wrong way round
+    edits = [edited]
+    if of.startswith("gauge"):  # it was wired the wrong way round
         assert configuration.displacements is not None
         first, *others = configuration.displacements.channels
         channels = [first.model_copy(update={"scale_um": -first.scale_um}), *others]
         measured = DisplacementsConfig(file=configuration.displacements.file, channels=channels)
         edited = configuration.model_copy(update={"displacements": measured})
+        without = DisplacementsConfig(file=configuration.displacements.file, channels=others)
+        edits = [configuration.model_copy(update={"displacements": without})] * (of == "gauge away") + [edited]
     made = dict[str, Any]()
-    for each in (configuration, edited):
+    for each in (configuration, *edits):
         started(each)
         made = made or propose_from_history(each, RetrainingConfig(model="ridge"))
     model = model_from_json(Path(made["path"]).read_text("utf-8"), made["path"])
