@@ -74,6 +74,8 @@ class Finding:
     sentence: str
     columns: int = 1
     """Of so many columns the same is said; `column` names the first of them."""
+    missing: int = 0
+    """So many values are missing in each of the columns; 0 where it is about something else."""
 
     def __str__(self) -> str:
         """Return `column <name>, row <n>: <sentence>`."""
@@ -132,7 +134,13 @@ def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording],
     Raises DatasetError naming every error of the first recording that has one, see `require_usable`.
     """
     together = sum(recording.rows for recording in recordings)
-    warnings = said_together([(r.name, str(finding)) for r in recordings for finding in require_usable(r, together)])
+    found = [(r.name, finding) for r in recordings for finding in require_usable(r, together)]
+    gaps = [(name, finding) for name, finding in found if finding.missing]
+    if len(gaps) > MOST_NAMED:
+        found = [(name, finding) for name, finding in found if not finding.missing]
+    warnings = said_together([(name, str(finding)) for name, finding in found])
+    if len(gaps) > MOST_NAMED:
+        warnings.append(_gaps(gaps))
     possible = [recording.without_impossible() for recording in recordings]
     exchanged = exchanges(possible)
     known = {sensor for found in exchanged for sensor in (*found.sensors, *found.among)}
@@ -142,6 +150,17 @@ def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording],
         for found in disagreements(possible, known)
     ]
     return possible, (*disagreeing, *_rises(possible), *warnings)
+
+
+def _gaps(gaps: Sequence[tuple[str, Finding]]) -> str:
+    """Return one sentence for the missing values of many columns: how many, in which recordings, where most."""
+    name, most = max(gaps, key=lambda gap: gap[1].missing)
+    of = list(dict.fromkeys(name for name, _ in gaps))
+    values = sum(finding.missing * finding.columns for _, finding in gaps)
+    return (
+        f"{_listed(of)}: {values} values are missing, most in column{'s' * (most.columns > 1)} {most.column} of {name} "
+        f"({most.missing}{' each' * (most.columns > 1)}, the first in row {most.row}); rows without them are left out"
+    )
 
 
 def _rises(recordings: Sequence[Recording]) -> list[str]:
@@ -296,7 +315,7 @@ def _columns(recording: Recording, read: Recording) -> Iterator[Finding]:
             row = recording.rows_before + int(np.argmax(empty)) + 1
             many = f"{empty.sum()} values are missing, the first here; rows without them are left out"
             one = "1 value is missing, here; the row without it is left out"
-            yield _warning(name, row, one if empty.sum() == 1 else many)
+            yield replace(_warning(name, row, one if empty.sum() == 1 else many), missing=int(empty.sum()))
         known = column[~missing]
         if len(known) > 2 and known.min() == known.max():
             sentence = f"constant at {known[0]:g} over the whole recording; is the sensor connected?"

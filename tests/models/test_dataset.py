@@ -58,6 +58,20 @@ def test_time_must_increase_and_the_row_is_named() -> None:
 
 def test_missing_values_are_a_warning_that_names_column_and_row() -> None:
     assert "column t2, row 5: 3 values are missing" in sentences(spoilt("temperatures_degc", 1, slice(4, 7), np.nan))
+
+
+def test_missing_values_of_many_columns_are_one_sentence_with_their_number() -> None:
+    gappy = []
+    for number in range(3):
+        values = recording().temperatures_degc.copy()
+        values[5:7, 0] = values[10 : 14 + number, 2] = np.nan
+        gappy.append(replace(recording(), name=f"{number}.csv", temperatures_degc=values))
+    (said,) = (sentence for sentence in usable_recordings(gappy)[1] if "missing" in sentence)
+    assert said.startswith(
+        "0.csv, 1.csv, 2.csv: 21 values are missing, most in column t3 of 2.csv (6, the first in row"
+    )
+    (of_few,) = (sentence for sentence in usable_recordings(gappy[:1])[1] if "t1" in sentence)
+    assert "row 6: 2 values are missing" in of_few
     assert "row 5: 1 value is missing, here; the row" in sentences(spoilt("temperatures_degc", 1, slice(4, 5), np.nan))
     require_usable(spoilt("temperatures_degc", 1, slice(4, 7), np.nan))
 
