@@ -41,6 +41,10 @@ def test_an_evaluation_draws_itself_as_one_file_that_loads_nothing(tmp_path: Pat
     chosen = found["channels"][NAME]["chosen"]
     assert chosen["family"] in text and "What was tried in training" in text
     assert f"{found['mean']['reduction_rmse']:.1%}" in text
+    without_um = found["channels"][NAME]["rmse_without_um"]
+    assert without_um == found["mean"]["rmse_without_um"] > found["mean"]["rmse_um"]
+    reached = re.sub(r"<[^>]+>", " ", page.split("What was reached", 1)[1])
+    assert "RMSE without [um]" in reached and f"{without_um:.4g}"[:4] in reached, "what it was before stands beside it"
     assert page.count("Plotly.newPlot") >= 1 and "cycle 4" in text
     assert "left on line, by confidence" in text
     assert f"{found['mean']['online']['reduction_rmse']:.1%}" in text

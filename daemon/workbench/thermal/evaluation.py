@@ -375,9 +375,17 @@ def _channel_figures(channels: Sequence[str], outcomes: Sequence[_Outcome]) -> d
     return {name: _one_channel(index, outcomes) for index, name in enumerate(channels)}
 
 
-NO_FIGURES = dict.fromkeys(
-    ("rmse_um", "max_um", "reduction_rmse", "reduction_max", "band_coverage", "band_width_um", "online", "band")
+AVERAGED = (
+    "rmse_without_um",
+    "rmse_um",
+    "max_um",
+    "reduction_rmse",
+    "reduction_max",
+    "band_coverage",
+    "band_width_um",
 )
+"""Figures of a channel of which the mean over the channels is told; of `max_um` it is the largest."""
+NO_FIGURES = dict.fromkeys((*AVERAGED, "online", "band"))
 
 
 def _one_channel(channel: int, outcomes: Sequence[_Outcome]) -> dict[str, Any]:
@@ -432,7 +440,7 @@ def _mean(channels: dict[str, dict[str, Any]], counted: Sequence[str]) -> dict[s
     """Return the means over the channels; of what is gone over those that count: one that is noise says nothing."""
     found: dict[str, Any] = {}
     moving_ones = [channels[name] for name in counted]
-    for key in ("rmse_um", "max_um", "reduction_rmse", "reduction_max", "band_coverage", "band_width_um"):
+    for key in AVERAGED:
         values = [figures[key] for figures in (moving_ones if key.startswith("reduction") else channels.values())]
         known = [value for value in values if value is not None]
         found[key] = (max(known) if key == "max_um" else sum(known) / len(known)) if known else None

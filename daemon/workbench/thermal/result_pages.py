@@ -176,14 +176,15 @@ def _candidates(channels: Mapping[str, Any]) -> list[Section]:
 
 
 def _reached(found: Mapping[str, Any]) -> Section:
-    reached = ("RMSE left [um]", "largest left [um]", "of the RMSE gone", "of the largest gone")
+    reached = ("RMSE without [um]", "RMSE left [um]", "largest left [um]", "of the RMSE gone", "of the largest gone")
     head = ("channel", *reached, "band covers", "band's width [um]", "gone on line", "mean confidence")
     rows = []
     for name, its in (*found["channels"].items(), ("mean", found["mean"])):
         online = its.get("online") or {}
         shares = (_percent(its["reduction_rmse"]), _percent(its["reduction_max"]), _percent(its["band_coverage"]))
         on_line = (_percent(online.get("reduction_rmse")), _percent(online.get("mean_confidence")))
-        rows.append((called(name, its), its["rmse_um"], its["max_um"], *shares, its["band_width_um"], *on_line))
+        errors = (its["rmse_without_um"], its["rmse_um"], its["max_um"])
+        rows.append((called(name, its), *errors, *shares, its["band_width_um"], *on_line))
     return Section(title="What was reached on what it had not seen", head=head, rows=tuple(rows), kind="numbers")
 
 
