@@ -54,6 +54,8 @@ OF_THE_WIRES = (
     "no temperature has arrived",
 )
 """What keeps the output from following though the simulated wires are whole: a computer too busy for the speed."""
+ON_THE_WAY = 2
+"""So many cycles may have been played and not have arrived yet."""
 OF_THE_PAST = "stand for the last"
 """In what the daemon says of a model whose lags stand for hours that it does not know."""
 OF_A_SENSOR = "has changed since the reference"
@@ -223,17 +225,18 @@ class Following:
         return ""
 
 
-def not_enabled(refusal: str, arrived: int) -> str:
+def not_enabled(refusal: str, arrived: int, played: float) -> str:
     """Return why a replay could not be switched on, with what to do about it in a replay.
 
-    `arrived`: so many cycles of temperatures did.
+    `arrived`: so many cycles of temperatures did; `played`: of so many.
     """
     if OF_THE_PAST not in refusal:
         return refusal
-    if not arrived:
+    if arrived < WHOLE_SHARE * played - ON_THE_WAY:
         return (
-            "the daemon refused to enable: no temperature has arrived, so nothing is known of the past; nothing in "
-            "the recording does that: this computer is too busy, play it again at a smaller --speed"
+            f"the daemon refused to enable: of {played:.0f} cycles of temperatures {arrived or 'none'} arrived, so too "
+            "little is known of the past; nothing in the recording does that: this computer is too busy, play it "
+            "again at a smaller --speed"
         )
     return (
         f"{refusal.partition('; wait')[0]}: begin the replay where the machine has stood still for hours "

@@ -106,7 +106,7 @@ def replay(
             arguments += ["--map", str(map_path.resolve())]
         began_s = time.time()
         with start_simulation(arguments, path, speed=speed, epoch_utc_s=began_s, directory=folder) as running:
-            _enable(running)
+            _enable(running, machine["temperatures"]["lines"][0]["cycle_period_s"])
             _follow(running, until_s)
             final, status = settle(running)
         with HistoryReader(running.configuration.history.path) as reader:
@@ -201,11 +201,12 @@ def positions_played(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[str
         )
 
 
-def _enable(running: RunningSimulation) -> None:
+def _enable(running: RunningSimulation, cycle_period_s: float) -> None:
     try:
         switch_on(running)
     except SimulationError as error:
-        refuse(not_enabled(str(error), running.client.ask("status")["cycles"]["received"]))
+        arrived, played = running.client.ask("status")["cycles"]["received"], running.time_s / cycle_period_s
+        refuse(not_enabled(str(error), arrived, played))
 
 
 def _follow(running: RunningSimulation, until_s: float) -> None:
