@@ -14,6 +14,7 @@ from daemon.history.columns.kinds import CNC, DISPLACEMENTS, ESTIMATES, TEMPERAT
 from daemon.history.columns.packing import Extremes, decode_extremes
 from daemon.history.database import HOUR_MS
 from daemon.history.reader import TABLES, HistoryReader, naming_damage
+from daemon.history.series import EventRecord
 from models.quality import Quality
 
 HOUR_S = 3600.0
@@ -45,7 +46,7 @@ class SeriesError(ValueError):
 
 
 class SeriesReader(HistoryReader):
-    """A reader that knows the extremes of packed hours too."""
+    """A reader for the monitor: it knows the extremes of packed hours too, and looks for events."""
 
     def positions(self, sensor_ids: Collection[int]) -> list[tuple[int, dict[int, int]]]:
         """Return for each layout of a line that holds one of the sensors: its number, position of each by its ID."""
@@ -81,6 +82,25 @@ class SeriesReader(HistoryReader):
             for hour_ms, data in found:
                 if data:
                     yield hour_ms, decode_extremes(data)
+
+    def latest_events(
+        self, from_utc_s: float, to_utc_s: float, kind: str, text: str, limit: int
+    ) -> tuple[list[EventRecord], dict[str, int]]:
+        """Return events, the newest first, and of each kind how many there are; '' asks for every kind, for any text.
+
+        `text` is looked for in what happened and in who did it.
+        """
+        during = "FROM events WHERE utc_ms >= ? AND utc_ms < ?"
+        holds = "AND instr(lower(text || ' ' || coalesce(person, '')), lower(?)) > 0"
+        asked = (ms_from_s(from_utc_s), ms_from_s(to_utc_s), text)
+        with naming_damage(self.path), self._snapshot() as connection:
+            found = connection.execute(
+                f"SELECT utc_ms, kind, text, person {during} {holds} AND ? IN ('', kind) "
+                "ORDER BY utc_ms DESC, id DESC LIMIT ?",
+                (*asked, kind, limit),
+            ).fetchall()
+            counts = dict(connection.execute(f"SELECT kind, count(*) {during} {holds} GROUP BY kind", asked))
+        return [EventRecord(time_s=ms / 1e3, kind=kind, text=text, person=who) for ms, kind, text, who in found], counts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

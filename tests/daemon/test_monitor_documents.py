@@ -66,6 +66,8 @@ REFUSED = [
     ("series?" + "&".join(f"name=temperature.{i}" for i in range(33)), 422, "query parameter name"),
     ("writes?limit=0", 422, "query parameter limit"),
     ("writes?limit=99999", 422, "query parameter limit"),
+    ("past-events?limit=99999", 422, "query parameter limit"),
+    ("past-events?kinds=fault", 422, "it takes from, kind, limit, text, to"),
     ("export?what=secrets", 422, "query parameter what"),
     ("export?what=recording", 404, "no axis of this machine follows a channel that is measured"),
     ("export?what=temperatures&from=10&to=20", 404, "no temperatures were recorded in that time"),
@@ -107,6 +109,29 @@ async def test_the_audit_is_listed_newest_first_with_what_stood_there_before(ben
     assert none == {"writes": [], "more": False}, "looked for in all of the time, not among the newest"
     answer = await browser.get(f"{asked}&outcome=lost")
     assert answer.status == 422 and "outcome" in answer.detail
+
+
+async def test_what_happened_is_listed_newest_first_by_kind_text_and_person(bench):
+    browser, history = bench.browser(), bench.rig.history
+    history.event("refused", "enable z: 100 % of it, it_is", "Anna (monitor)")
+    history.event("fault", "macro #802 holds 3, we wrote 2", "daemon")
+    await history.flushed()
+    asked = f"/api/v1/past-events?from={EPOCH_S}&to={EPOCH_S + 5000}"
+    whole = (await browser.get(asked)).json
+    assert [each["kind"] for each in whole["events"]][:2] == ["fault", "refused"] and not whole["more"]
+    times = [each["time"] for each in whole["events"]]
+    assert times == sorted(times, reverse=True)
+    assert whole["kinds"]["fault"] == 1 and sum(whole["kinds"].values()) == len(whole["events"])
+    faults = (await browser.get(f"{asked}&kind=fault")).json
+    assert [each["text"] for each in faults["events"]] == ["macro #802 holds 3, we wrote 2"]
+    assert faults["kinds"] == whole["kinds"], "so that another kind can be chosen"
+    by_person = (await browser.get(f"{asked}&text=ANNA")).json
+    assert [each["kind"] for each in by_person["events"]] == ["refused"] and by_person["kinds"] == {"refused": 1}
+    assert not (await browser.get(f"{asked}&text=it%25is")).json["events"], "a text is no pattern"
+    few = (await browser.get(f"{asked}&limit=1")).json
+    assert few == {"events": whole["events"][:1], "kinds": whole["kinds"], "more": True}
+    none = (await browser.get(f"/api/v1/past-events?from=10&to={EPOCH_S - 1}")).json
+    assert none == {"events": [], "kinds": {}, "more": False}
 
 
 @pytest.mark.parametrize("what", ["temperatures", "writes"])

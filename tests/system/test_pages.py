@@ -15,9 +15,11 @@ import threading
 import time
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
+from zoneinfo import ZoneInfo
 
 import history_records as make
 import numpy as np
@@ -316,6 +318,31 @@ async def press_until(page: Page, there: str, key: str) -> None:
             await page.keyboard.press(key)
             return
     raise AssertionError(f"the keyboard does not reach what {there}")
+
+
+async def test_what_happened_stands_on_the_history_in_the_time_of_the_browser_and_by_kind(tmp_path):
+    async with monitor(tmp_path) as bench, chromium() as browser:
+        await bench.rig.active()
+        bench.rig.history.event("fault", "macro #802 holds 3, we wrote 2", "daemon")
+        bench.rig.history.event("refused", "enable z: <b>not</b> commissioned", "anna")
+        await bench.rig.history.flushed()
+        at = datetime.fromtimestamp(bench.rig.clock.now().utc_s, ZoneInfo("Asia/Kathmandu"))
+        bench.rig.clock.monotonic_s += 60.0
+        seen = await watched(browser, f"http://127.0.0.1:{bench.port}/", timezone_id="Asia/Kathmandu")
+        await seen.open("overview")
+        await seen.page.get_by_role("link", name="What happened before").click()
+        rows = seen.page.locator("table.events tbody tr")
+        await expect(rows.first).to_contain_text("enable z: <b>not</b> commissioned", timeout=PATIENCE_MS)
+        await expect(rows.first).to_contain_text("anna")
+        await expect(rows.first).to_contain_text(f"{at:%Y-%m-%d %H:%M}")
+        await expect(seen.page.locator("main")).to_contain_text("UTC+5:45")
+        await seen.page.get_by_label("kind").select_option(label="fault (1)")
+        await expect(rows).to_have_count(1)
+        await expect(rows).to_contain_text("macro #802 holds 3")
+        await seen.page.get_by_label("find").fill("zzz")
+        await seen.page.keyboard.press("Enter")
+        await expect(seen.page.locator("main")).to_contain_text("0 events")
+        assert seen.said == []
 
 
 async def test_switching_on_takes_the_right_and_a_confirmation(tmp_path):

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Query, Request
 from starlette.responses import JSONResponse, Response
 
 from daemon.history.columns.kinds import ESTIMATES, WRITES
+from daemon.history.decimation import SeriesReader
 from daemon.history.reader import HistoryReader
 from daemon.history.series import WriteRecord
 from daemon.monitor.web import schemas
@@ -26,7 +27,7 @@ LATEST_UTC_S = 4_102_444_800.0
 DEFAULT_SPAN_S = 3600.0
 MOST_NAMES = 32
 MOST_POINTS = 4000
-MOST_WRITES = 1000
+MOST_ROWS = 1000
 DAY_S = 86400.0
 
 From = Annotated[
@@ -209,7 +210,7 @@ async def writes(
     person: Viewer,
     from_s: From = None,
     to_s: To = None,
-    limit: Annotated[int, Query(ge=1, le=MOST_WRITES)] = 200,
+    limit: Annotated[int, Query(ge=1, le=MOST_ROWS)] = 200,
     reason: Annotated[
         str | None, Query(max_length=200, description="only writes whose reason, cause or person holds this text")
     ] = None,
@@ -226,6 +227,27 @@ async def writes(
     body = await recorded_of(request).query(ask)
     headers = {"content-encoding": "gzip"} if packed else {}
     return Response(body, headers=headers | {"vary": "accept-encoding"}, media_type="application/json")
+
+
+@router.get("/past-events", response_model=schemas.Events)
+async def past_events(
+    request: Request,
+    person: Viewer,
+    from_s: From = None,
+    to_s: To = None,
+    limit: Annotated[int, Query(ge=1, le=MOST_ROWS)] = 200,
+    kind: Annotated[str, Query(max_length=40, description="only events of this kind, such as state")] = "",
+    text: Annotated[str, Query(max_length=200, description="only events whose text or person holds this")] = "",
+) -> Response:
+    """Return what happened: changes of state, references, requests with the person, faults; the newest first."""
+    start_s, end_s = interval(request, from_s, to_s)
+
+    def ask(reader: SeriesReader, go_on: object) -> dict[str, Any]:
+        found, kinds = reader.latest_events(start_s, end_s, kind, text, limit + 1)
+        events = [{"time": e.time_s, "kind": e.kind, "text": e.text, "person": e.person} for e in found[:limit]]
+        return {"events": events, "kinds": kinds, "more": len(found) > limit}
+
+    return JSONResponse(await recorded_of(request).query(ask))
 
 
 @router.get(

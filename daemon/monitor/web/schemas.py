@@ -300,6 +300,23 @@ class Writes(Document):
     more: bool = Field(description="there are older ones in the interval")
 
 
+class Event(Document):
+    """Something that happened."""
+
+    time: Utc
+    kind: str
+    text: str
+    person: str | None
+
+
+class Events(Document):
+    """What happened, the newest first."""
+
+    events: list[Event]
+    kinds: dict[str, int] = Field(description="kind -> how many hold the text in the interval, whatever `kind` asks")
+    more: bool = Field(description="there are older ones in the interval")
+
+
 class Distribution(Document):
     """How many values lie between each two edges."""
 

@@ -56,7 +56,7 @@ function state(status) {
     status.state !== "ACTIVE" && remedy(status.alarm || status.reason),
     h("div", { class: "more" },
       axes.length > 0 && h("p", {}, "Estimated error without compensation: ", h("b", {}, without), "; with: ", h("b", {}, left), "."),
-      h("p", { class: "dim" }, prose(reference(status)), status.since_s !== null ? ` In this state for ${duration(status.since_s)}.` : ""),
+      h("p", { class: "dim" }, prose(reference(status)), status.since_s !== null ? ` In this state for ${duration(status.since_s)}. ` : " ", h("a", { href: "#/history" }, "What happened before")),
     ));
 }
 
