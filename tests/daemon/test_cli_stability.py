@@ -257,6 +257,8 @@ def test_the_modes_of_a_response_are_those_that_it_was_made_of(case: Path) -> No
     (mode,) = found["x"]["modes"]
     assert mode["frequency_hz"] == pytest.approx(922.0, rel=1e-4)
     assert mode["damping_ratio"] == pytest.approx(0.011, rel=1e-2)
+    assert "x: 922.0 Hz, damping ratio 0.0110" in (said := run("modes", measured).stderr)
+    assert f"x: residual {found['x']['relative_residual']:.2%} of the response" in said
     assert "no direction of this case names an FRF" in refusal("modes", case)
 
 

@@ -94,6 +94,7 @@ def modes(case_path: Path, picture: Path | None, json_path: str | None) -> None:
             say(f"warning: {name}: {warning}")
         for mode in part["modes"]:
             say(f"{name}: {mode['frequency_hz']:.1f} Hz, damping ratio {mode['damping_ratio']:.4f}")
+        say(f"{name}: residual {part['relative_residual']:.2%} of the response")
     if picture is not None:
         from daemon.workbench.stability.pictures import responses_picture
 
