@@ -2,9 +2,10 @@
 
 Where teeth cut one after the other, the true boundary leaves that of the zeroth-order solution at the low end of a
 pocket by several per cent of the speed. Modes are fitted to the response, and the vibration must die away fast enough
-in every feed direction, at the speed and at both ends of its tolerance.
+in every feed direction, at the speed, at both ends of its tolerance and in between.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from models.errors import StabilityError
 from models.records import FloatArray
 from models.stability.collocation import radius_bounds
 from models.stability.frf_modal_fit import ModalFit, fit_modes
-from models.stability.milling import Cut
+from models.stability.milling import Cut, tooth_passing_hz
 from models.stability.response import (
     ComplexArray,
     ModalResponse,
@@ -31,6 +32,10 @@ LEAST_DECAY_PER_S = 10.0
 the dynamics turns it into chatter."""
 LEAST_SHARE = 0.5
 """Of the decay of the slowest mode without a cut, where that is slow itself."""
+AT_ONCE = 9
+"""So many speeds are computed at a time."""
+MOST_SPEEDS = 100
+"""On either side of a speed; more take too long."""
 OUTSIDE_DAMPING = 0.05
 """At least, of modes outside the band: only their flexibility shows inside it."""
 
@@ -54,7 +59,7 @@ class StabilityVerification:
         return not self.denial(response, speed_rpm, depth_mm, tolerance)
 
     def denial(self, response: ToolPointResponse, speed_rpm: float, depth_mm: float, tolerance: float) -> str:
-        """Return why a depth cannot be cut at a speed and at both ends of its tolerance, '' when it can.
+        """Return why a depth cannot be cut at a speed and within its tolerance, '' when it can.
 
         Result: also where no modes follow the response, or vibrations are too many from tooth to tooth: what cannot be
         verified is denied.
@@ -66,11 +71,18 @@ class StabilityVerification:
             modes = self.modes(response)
         except (StabilityError, np.linalg.LinAlgError) as error:
             return f"the dynamics cannot be verified: {error}"
-        speeds_rpm = speed_rpm * np.array([1.0 - tolerance, 1.0, 1.0 + tolerance])
         try:
-            radius = self._radius(modes, speeds_rpm, depth_mm)
+            every_rpm = speed_rpm * _speeds_within(modes, tooth_passing_hz(speed_rpm, self._cut.teeth), tolerance)
+            for first in range(0, len(every_rpm), AT_ONCE):
+                if chatters := self._chatter(modes, every_rpm[first : first + AT_ONCE], depth_mm):
+                    return chatters
         except (StabilityError, np.linalg.LinAlgError) as error:
             return f"{speed_rpm:.0f} 1/min cannot be verified: {error}"
+        return ""
+
+    def _chatter(self, modes: ModalResponse, speeds_rpm: FloatArray, depth_mm: float) -> str:
+        """Return at which speed and in which direction a vibration does not die away, '' where all do."""
+        radius = self._radius(modes, speeds_rpm, depth_mm)
         over = ~(radius <= self._limits(modes, speeds_rpm))
         if not over.any():
             return ""
@@ -132,6 +144,25 @@ class StabilityVerification:
         decay_per_s = min(self._least_decay_per_s, LEAST_SHARE * slowest_per_s)
         limits: FloatArray = np.exp(-decay_per_s * 60.0 / (speeds_rpm * self._cut.teeth))
         return limits
+
+
+def _speeds_within(modes: ModalResponse, passing_hz: float, tolerance: float) -> FloatArray:
+    """Return the speeds to verify, as shares of one, the ends first.
+
+    Raises StabilityError where they would be too many.
+
+    They lie so close that the phase of no resonance, which vibrates ``f / passing_hz`` times from tooth to tooth,
+    passes by more than half its width between two of them. `passing_hz`: tooth-passing frequency [Hz].
+    """
+    apart = min(mode.damping_ratio / max(mode.frequency_hz / passing_hz, 1.0) for mode in modes.modes())
+    count = math.ceil(tolerance / apart)
+    if count > MOST_SPEEDS:
+        raise StabilityError(
+            f"{2 * count + 1} speeds within its tolerance would have to be looked at; lower tolerance_percent"
+        )
+    between = tolerance * np.arange(1, count) / max(count, 1)
+    shares: FloatArray = 1.0 + np.concatenate(([-tolerance, 0.0, tolerance], between, -between))
+    return shares
 
 
 def _thinned(receptance: ComplexArray) -> np.ndarray:

@@ -25,8 +25,8 @@ SPARE_NODES = 9
 """So many nodes more than a polynomial needs to follow the fastest mode over a piece of the arc."""
 MOST_NODES = 160
 """More nodes take too long."""
-MOST_SQUARINGS = 14
-"""The bounds then lie within a thousandth of the spectral radius."""
+MOST_SQUARINGS = 18
+"""The bounds then lie within a ten-thousandth of the spectral radius."""
 STIFFEST_CUT = 3.0
 """In a cut the structure may swing so many times faster than its fastest mode."""
 LARGEST_ENTRY = 1e100

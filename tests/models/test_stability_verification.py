@@ -104,6 +104,23 @@ def test_a_mode_that_appears_is_found_although_the_modes_before_are_known() -> N
     assert [round(mode.frequency_hz) for mode in found.xx] == [605, 900, 1340]
 
 
+def test_what_chatters_between_a_speed_and_the_ends_of_its_tolerance_is_denied() -> None:
+    """A heavy, lightly damped spindle: the command may stand at any speed within the tolerance."""
+    start_rad, exit_rad = engagement_rad(MillingMode.DOWN, 0.5, 10.0)
+    cut = replace(CUT, teeth=6, start_rad=start_rad, exit_rad=exit_rad)
+    heavy = ModalResponse(
+        xx=(mode_from_stiffness(176.54, 0.00303, 1.20335e7), mode_from_stiffness(297.44, 0.003, 3.88e7)),
+        yy=(mode_from_stiffness(144.11, 0.0029, 7.56402e6),),
+    )
+    method = semi_discretisation(state_space(heavy, 0.0), cut, 200)
+    found = [float(spectral_radius(method, 1146.0 * share, np.array([1.7]))[0]) for share in (0.98, 1.0, 1.015, 1.02)]
+    assert [radius > 1.0 for radius in found] == [False, False, True, False], found
+    check = StabilityVerification(cut)
+    assert all(check.is_stable(heavy, 1146.0 * share, 1.7, 0.0) for share in (0.98, 1.0, 1.02))
+    assert "does not die away fast enough" in check.denial(heavy, 1146.0, 1.7, 0.02)
+    assert check.is_stable(heavy, 1146.0, 1.7, 0.003)
+
+
 def test_all_feed_directions_must_be_borne() -> None:
     speeds = np.linspace(6000.0, 9000.0, 13).tolist()
     turned = [
