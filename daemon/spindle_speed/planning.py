@@ -77,6 +77,14 @@ class OperationPlanning:
             self.estimator = TrackedToolPoint(tracker, labels)
         except (ValueError, IdentificationError) as error:
             raise StabilityError(f"{tuning.thermomechanical_model}: {error}") from error
+        for axis, path in operation.spindles.items():
+            if (beside_hz := tracker.axes[axis].beside_the_band()) is not None:
+                low_hz, high_hz = tracker.frequency_hz[[0, -1]]
+                raise StabilityError(
+                    f"{path}: the largest resonance of T{operation.tool_number} lies at "
+                    f"{beside_hz:.0f} Hz, and {low_hz:.0f} to {high_hz:.0f} Hz are computed: a cut would chatter where "
+                    "nobody looks; leave this tool out of spindle_speed.operations"
+                )
         self._places = [place for axis in assemblies for name in model.axes[axis].signals for place in labels[name]]
 
     def disbelief(self, doubted: Mapping[int, str]) -> str:

@@ -24,6 +24,10 @@ COARSE = 4
 """Steps between two states, and the ends of physical ranges, are looked at on every fourth frequency."""
 ENDS_STAND_HZ = 0.5
 """They are looked at again when the resonance has moved by this [Hz], or other properties are flagged."""
+WIDE_HZ = np.geomspace(20.0, 10_000.0, 4000)
+"""Where resonances are looked for beside the band [Hz], with lines as close as the narrowest of steel are wide."""
+FARTHEST_WIDTHS = 0.5
+"""So far beside the fitted temperatures, in widths of their range, nothing is known of the bearings."""
 REFERENCE_DEGC = 20.0
 """Where the resonance is chosen when the fit does not say which temperatures it saw."""
 
@@ -115,6 +119,7 @@ class AxisTracker:
         self._condensed = CondensedAssembly(assembly, frequency_hz)
         self._coarse = CondensedAssembly(assembly, frequency_hz[::COARSE])
         start = self.parameters(self._reference())
+        self._wide = CondensedAssembly(assembly, WIDE_HZ).receptance(properties_from_parameters(start))
         self._follower = ResonanceFollower(
             frequency_hz, self.receptance, start, near_hz, on_the_way=self._coarse_receptances
         )
@@ -124,6 +129,19 @@ class AxisTracker:
         count, seen = len(self.regression.signals), self.regression.fitted_range
         degc = np.full(count, REFERENCE_DEGC) if seen is None else 0.5 * (seen.lowest_degc + seen.highest_degc)
         return self.regression.estimate(degc, dict.fromkeys(self.regression.intervals_min, np.zeros(count)))
+
+    def beside_the_band(self) -> float | None:
+        """Return the frequency of the largest resonance when the band does not hold it [Hz], None when it does.
+
+        The real part of the receptance spans as much over a resonance as this one limits the depth of cut.
+        """
+        real, frequency_hz = self._wide.real, self._condensed.frequency_hz
+        first, last = np.searchsorted(WIDE_HZ, (frequency_hz[0], frequency_hz[-1]))
+        inside = np.ptp(real[first:last])
+        for beside in (slice(0, first), slice(last, None)):
+            if np.ptp(real[beside]) > inside:
+                return float(WIDE_HZ[beside][np.argmin(real[beside])])
+        return None
 
     def parameters(self, properties: Sequence[EstimatedProperty]) -> dict[str, float]:
         """Return all bearing parameters: those regressed, within their bounds, and those fixed."""
@@ -249,6 +267,7 @@ class ToolPointTracker:
                 f"the changes of temperature need {max(short):g} min of temperatures, "
                 f"{self._history.covered_min:.1f} min are there"
             )
+        reasons += self._beside_the_fit(now)
         axes = {
             axis: tracker.renew(now[columns], {minutes: change[columns] for minutes, change in differences.items()})
             for (axis, tracker), columns in zip(self.axes.items(), self._columns.values(), strict=True)
@@ -263,6 +282,20 @@ class ToolPointTracker:
             inhibit="; ".join(reasons),
             model_id=self.model.model_id,
         )
+
+    def _beside_the_fit(self, now: FloatArray) -> list[str]:
+        """Return which axes' temperatures lie too far beside those of the fit, in words."""
+        said = []
+        for axis, tracker in self.axes.items():
+            seen, degc = tracker.regression.fitted_range, now[self._columns[axis]]
+            if seen is None or seen.departure(degc) <= FARTHEST_WIDTHS:
+                continue
+            rows = zip(tracker.regression.signals, degc, seen.lowest_degc, seen.highest_degc, strict=True)
+            levels = ", ".join(f"{name} {at:.1f} degC (fitted {low:.1f} to {high:.1f})" for name, at, low, high in rows)
+            said.append(
+                f"{axis}: the bearings were fitted at other temperatures: {levels}; fit a campaign that has these"
+            )
+        return said
 
     def _differences(self, now: FloatArray) -> tuple[dict[float, FloatArray], list[float]]:
         """Return the changes over each interval [K] and the intervals [min] that are not covered (no change)."""

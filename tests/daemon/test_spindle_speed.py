@@ -11,6 +11,7 @@ from speed_machine import COLD, MACROS, bearing_model, speed_machine
 from speed_rig import CUT, SAFE, SpeedRig
 
 from config.loader import parse_yaml_model
+from config.machine.spindle import spindle_folder
 from config.schema import Configuration
 from config.schema.base import ConfigurationError
 from config.schema.spindle_speed import SpindleSpeedConfig
@@ -257,3 +258,23 @@ async def test_on_a_real_control_it_moves_the_speed_where_that_control_is_commis
         assert status is SpeedStatus.APPLIED
         assert speed_rpm != 9000.0
         assert bench.picture()["alarm"] == ""
+
+
+@pytest.mark.parametrize(("scale", "tool_mm", "at_hz"), [(1.0, (30, 6), "44.. Hz"), (2.5, (80, 40), "1.. Hz")])
+def test_a_tool_whose_largest_resonance_lies_beside_the_band_is_refused(
+    tmp_path: Path, scale: float, tool_mm: tuple[float, float], at_hz: str
+) -> None:
+    """A slender tool chatters above 2500 Hz, a heavy spindle below 300: the lobes called every depth stable."""
+    shipped = yaml.safe_load((spindle_folder() / "simulated_machine.yaml").read_text("utf-8"))
+    for each in (*shipped["segments"], *shipped["holder"]["segments"], *shipped["bearings"]):
+        for part in (each, each.get("ring", {})):
+            part |= {key: scale * value for key, value in part.items() if key.endswith("_mm")}
+    length_mm, outer_mm = tool_mm
+    shipped["tool"]["segments"] = [{"length_mm": length_mm, "outer_mm": outer_mm, "material": "steel"}]
+    (spindle := tmp_path / "spindle.yaml").write_text(yaml.safe_dump(shipped), encoding="utf-8")
+    tuning = speed_machine(tmp_path).spindle_speed
+    assert tuning is not None
+    operation = tuning.operations[0].model_copy(update={"spindles": {"x": spindle, "y": spindle}})
+    configuration = speed_machine(tmp_path, operations=[operation])
+    with pytest.raises(StabilityError, match=f"largest resonance of T1 lies at {at_hz}, and 300 to 2500 Hz"):
+        planned_with(configuration, bearing_model())

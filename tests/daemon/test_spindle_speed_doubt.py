@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from control_rig import running
+from speed_machine import bearing_model
 from speed_rig import CUT, SAFE, SpeedRig
 from thermal_rig import Task, model
 
@@ -16,6 +17,7 @@ from daemon.state_store.store import StateStore
 from drivers.guard.speed_text import SpeedStatus
 from models.control.reference_records import ReferenceDocument, ReferenceRecord, ReferenceState
 from models.records import MachineTemperatures
+from models.thermomechanics.regression import FittedRange
 
 
 class Sensors:
@@ -185,3 +187,24 @@ async def test_what_was_excluded_before_a_restart_is_not_believed_before_the_ref
     await again.minutes(1 / 6, spindle=28.0, column=28.0)
     sensors.told()
     assert sensors.sent[-1].doubted == {2: "sensor 3 was found wrong"}
+
+
+async def test_temperatures_beside_those_of_the_fit_move_no_speed(tmp_path: Path) -> None:
+    """The bearings of a spindle at 34 degC were taken from a line through what was measured at 24 to 29."""
+    fitted = FittedRange(lowest_degc=np.array([24.0]), highest_degc=np.array([29.0]))
+    made = bearing_model()
+    made = replace(made, axes={axis: replace(each, fitted_range=fitted) for axis, each in made.axes.items()})
+    bench = SpeedRig(tmp_path, model=made)
+    async with running(bench.rig):
+        await bench.rig.turn()
+        within_rpm, _, status = await bench.operation()
+        assert status is SpeedStatus.APPLIED and within_rpm != 9000.0 and bench.picture()["alarm"] == ""
+        await bench.pass_by(20.0, CUT)
+        bench.degc = 34.0
+        await bench.pass_by(120.0, CUT)
+        await bench.pass_by(60.0, SAFE)
+        assert bench.call()[0] == within_rpm
+        assert "A 34.0 degC (fitted 24.0 to 29.0)" in bench.picture()["alarm"]
+        bench.degc = 28.0
+        await bench.pass_by(70.0, SAFE)
+        assert bench.picture()["alarm"] == ""
