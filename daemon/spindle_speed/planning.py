@@ -68,9 +68,14 @@ class OperationPlanning:
                 "spindle_speed.verify_with_sdm, which does, or remove the key"
             )
         rotary: Rotary = "published" if model.rigid_rotary_inertia == "published" else "correct"
-        assemblies: dict[str, SpindleAssembly] = {
-            axis: read_spindle(path, rotary).assembly() for axis, path in operation.spindles.items()
-        }
+        spindles = {axis: read_spindle(path, rotary) for axis, path in operation.spindles.items()}
+        for axis, spindle in spindles.items():
+            if not spindle.tool:
+                raise StabilityError(
+                    f"{operation.spindles[axis]}: it holds no tool, and the response of the spindle alone is not the "
+                    f"tool's; add `tool`, that of T{operation.tool_number}"
+                )
+        assemblies: dict[str, SpindleAssembly] = {axis: spindle.assembly() for axis, spindle in spindles.items()}
         near_hz = {str(axis): value for axis, value in operation.near_hz.items()}
         try:
             tracker = ToolPointTracker(model, assemblies, labels, near_hz=near_hz)

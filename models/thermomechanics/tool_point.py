@@ -11,7 +11,7 @@ import numpy as np
 
 from models.dynamics.assembly import CondensedAssembly, SpindleAssembly
 from models.dynamics.beam import ComplexArray
-from models.dynamics.bearings import properties_from_parameters
+from models.dynamics.bearings import groups_of, properties_from_parameters
 from models.records import FloatArray, MachineTemperatures
 from models.thermomechanics.history import SignalMeans, TemperatureHistory
 from models.thermomechanics.regression import AxisRegression, EstimatedProperty, ThermomechanicalModel
@@ -213,7 +213,7 @@ class ToolPointTracker:
     ) -> None:
         """Prepare everything that does not depend on temperatures.
 
-        Raises ValueError when an axis has no regression, or a signal no sensor.
+        Raises ValueError when an axis has no regression, a signal no sensor, or an assembly other groups of bearings.
 
         `model`: regressions per axis; those of axes without an assembly are not used. `assemblies`: axis -> spindle,
         holder and tool along it. `labels`: label -> indices into the machine's sensor order, whose mean is the signal.
@@ -226,6 +226,14 @@ class ToolPointTracker:
             raise ValueError(
                 f"no sensor carries the label {', '.join(missing)}, which the model {model.model_id} needs"
             )
+        for axis, assembly in assemblies.items():
+            regression, there = model.axes[axis], {support.group for support in assembly.shaft.supports}
+            known = {*groups_of([*regression.fixed, *(each.name for each in regression.properties)])}
+            if known != there:
+                raise ValueError(
+                    f"the model {model.model_id} knows the bearings {', '.join(sorted(known))} along {axis}, and the "
+                    f"spindle has {', '.join(sorted(there)) or 'none'}"
+                )
         self.model = model
         self.frequency_hz = source_frequencies() if frequency_hz is None else frequency_hz
         self._means = SignalMeans([labels[signal] for signal in model.signals])

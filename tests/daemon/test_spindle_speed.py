@@ -265,16 +265,42 @@ def test_a_tool_whose_largest_resonance_lies_beside_the_band_is_refused(
     tmp_path: Path, scale: float, tool_mm: tuple[float, float], at_hz: str
 ) -> None:
     """A slender tool chatters above 2500 Hz, a heavy spindle below 300: the lobes called every depth stable."""
-    shipped = yaml.safe_load((spindle_folder() / "simulated_machine.yaml").read_text("utf-8"))
+    shipped = shipped_spindle()
     for each in (*shipped["segments"], *shipped["holder"]["segments"], *shipped["bearings"]):
         for part in (each, each.get("ring", {})):
             part |= {key: scale * value for key, value in part.items() if key.endswith("_mm")}
     length_mm, outer_mm = tool_mm
     shipped["tool"]["segments"] = [{"length_mm": length_mm, "outer_mm": outer_mm, "material": "steel"}]
-    (spindle := tmp_path / "spindle.yaml").write_text(yaml.safe_dump(shipped), encoding="utf-8")
-    tuning = speed_machine(tmp_path).spindle_speed
+    with pytest.raises(StabilityError, match=f"largest resonance of T1 lies at {at_hz}, and 300 to 2500 Hz"):
+        planned_with(with_spindle(tmp_path, shipped), bearing_model())
+
+
+def shipped_spindle() -> dict[str, Any]:
+    return dict(yaml.safe_load((spindle_folder() / "simulated_machine.yaml").read_text("utf-8")))
+
+
+def with_spindle(folder: Path, description: dict[str, Any]) -> Configuration:
+    (spindle := folder / "spindle.yaml").write_text(yaml.safe_dump(description), encoding="utf-8")
+    tuning = speed_machine(folder).spindle_speed
     assert tuning is not None
     operation = tuning.operations[0].model_copy(update={"spindles": {"x": spindle, "y": spindle}})
-    configuration = speed_machine(tmp_path, operations=[operation])
-    with pytest.raises(StabilityError, match=f"largest resonance of T1 lies at {at_hz}, and 300 to 2500 Hz"):
-        planned_with(configuration, bearing_model())
+    return speed_machine(folder, operations=[operation])
+
+
+def test_a_spindle_without_the_tool_is_none_of_its_operation(tmp_path: Path) -> None:
+    """The response at the holder's front was taken for the tool's."""
+    bare = shipped_spindle()
+    del bare["tool"]
+    with pytest.raises(StabilityError, match=r"spindle.yaml: it holds no tool, .* add `tool`, that of T1"):
+        planned_with(with_spindle(tmp_path, bare), bearing_model())
+
+
+@pytest.mark.parametrize("groups", [("front", "34", "5"), ("12", "34", "34")])
+def test_the_bearings_of_another_spindle_are_refused(tmp_path: Path, groups: tuple[str, ...]) -> None:
+    """Names that the model does not know ended in a KeyError, and a group that the spindle lacks in nothing."""
+    other = shipped_spindle()
+    for bearing in other["bearings"]:
+        bearing["group"] = groups[("12", "34", "5").index(bearing["group"])]
+    said = "knows the bearings 12, 34, 5 along x, and the spindle has " + ", ".join(sorted({*groups}))
+    with pytest.raises(StabilityError, match=said):
+        planned_with(with_spindle(tmp_path, other), bearing_model())
