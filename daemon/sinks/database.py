@@ -34,6 +34,11 @@ ANSWER_TIMES = 6
 """An answer may take so many times as long as connecting."""
 GIVE_UP_TIMES = 7
 """After so many a server is given up that does not keep to its own limit, because it hangs."""
+SETTINGS = (
+    "SELECT set_config('search_path', %s, true), set_config('statement_timeout', %s, true), "
+    "set_config('client_min_messages', 'warning', true)"
+)
+"""For one transaction; the last keeps quiet about tables that are there already."""
 MIGRATING = 7_413_015
 """Number of the lock under which tables are made, so that the sinks of several machines do not make them at once."""
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -105,7 +110,6 @@ class Database:
     def __init__(self, config: PostgresqlConfig, where: str, application: str) -> None:
         self._config, self._where, self._application = config, where, application
         self._connection: PatientConnection | None = None
-        self._staged: set[str] = set()
         self._months: set[tuple[str, int, int]] = set()
         self._partitioned: set[str] = set()
 
@@ -120,6 +124,7 @@ class Database:
         try:
             connection = self._connection = self._connect()
             with connection.transaction():
+                self._set(connection)
                 self._migrate(connection)
             connection.patience_s = GIVE_UP_TIMES * self._config.timeout_s
             found = connection.execute(
@@ -142,13 +147,21 @@ class Database:
     @contextlib.contextmanager
     def transaction(self) -> Iterator[psycopg.Connection[Any]]:
         """Begin and commit a transaction, in which rows are put."""
-        staged, months = set(self._staged), set(self._months)
+        months = set(self._months)
         try:
             with self.connection.transaction():
+                self._set(self.connection)
                 yield self.connection
         except BaseException:
-            self._staged, self._months = staged, months  # what was made is gone with the rest
+            self._months = months  # what was made is gone with the rest
             raise
+
+    def _set(self, connection: psycopg.Connection[Any]) -> None:
+        """Begin a transaction as every one begins: a pooler may give each another connection, and others get it then.
+
+        Not as `options` of the connection: a pooler (PgBouncer) leaves those out.
+        """
+        connection.execute(SETTINGS, (SCHEMA, str(int(ANSWER_TIMES * self._config.timeout_s * 1e3))))
 
     def put(self, stream: Stream, rows: Iterable[Sequence[Any]], days: Iterable[int]) -> int:
         """Store rows of a stream, machine first, within a transaction; return how many were not there before.
@@ -162,10 +175,8 @@ class Database:
         columns = sql.SQL(", ").join([sql.Identifier("machine"), *names])
         if table in self._partitioned:
             self._make_partitions(table, days)
-        if table not in self._staged:
-            like = sql.SQL("CREATE TEMP TABLE IF NOT EXISTS {} ON COMMIT DELETE ROWS AS SELECT {} FROM {} WITH NO DATA")
-            connection.execute(like.format(staging, columns, target))
-            self._staged.add(table)
+        like = sql.SQL("CREATE TEMP TABLE IF NOT EXISTS {} ON COMMIT DELETE ROWS AS SELECT {} FROM {} WITH NO DATA")
+        connection.execute(like.format(staging, columns, target))
         with connection.cursor() as cursor:
             with cursor.copy(sql.SQL("COPY {} ({}) FROM STDIN").format(staging, columns)) as copy:
                 for row in rows:
@@ -223,9 +234,6 @@ class Database:
             **tls,
         )
         connection.patience_s = GIVE_UP_TIMES * config.timeout_s
-        # Not as `options` of the connection: a pooler (PgBouncer) leaves those out.
-        settings = "SELECT set_config('search_path', %s, false), set_config('statement_timeout', %s, false)"
-        connection.execute(settings, (SCHEMA, str(answer_ms)))
         return connection
 
     def _password(self) -> str | None:

@@ -351,7 +351,7 @@ def store_status(config: PlantStoreConfig) -> dict[str, Any]:
             "SELECT machine, extract(epoch FROM max(newest))::float8, "
             "extract(epoch FROM greatest(max(delivered), max(stored)))::float8, "
             "extract(epoch FROM now() - least(max(newest), greatest(max(delivered), max(stored))))::float8 "
-            "FROM deliveries GROUP BY machine ORDER BY machine"
+            "FROM toolpoint.deliveries GROUP BY machine ORDER BY machine"
         ).fetchall()
     except (psycopg.Error, OSError) as error:
         raise database.refused(error) from error

@@ -96,7 +96,7 @@ class PostgresqlSink:
         self._database.open()
         try:
             found = self._database.connection.execute(
-                "SELECT stream, computer IN ('', %s), generation, last_row, last_chunk FROM deliveries "
+                "SELECT stream, computer IN ('', %s), generation, last_row, last_chunk FROM toolpoint.deliveries "
                 "WHERE machine = %s",
                 (self._computer, self._machine),
             ).fetchall()

@@ -8,9 +8,10 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +23,7 @@ import yaml
 from certificates import make_certificate
 from filled_store import add, fill
 from history_records import EPOCH_S, SMALL, StillClock
-from postgresql import PASSWORD, PATIENCE_S, Server, postgresql
+from postgresql import PASSWORD, PATIENCE_S, USER, Server, postgresql
 from tidied_store import housekeeping
 
 from config.sample import sample_configuration
@@ -30,6 +31,7 @@ from config.schema.service import HistoryConfig
 from config.schema.sinks import PostgresqlConfig, SinkConfig
 from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.cursors import Cursor, cursor_path
+from daemon.simulation.processes import free_port
 from daemon.sinks.contract import SinkError
 from daemon.sinks.database import Database, authorities, scripts
 from daemon.sinks.outbox import STREAMS
@@ -399,6 +401,77 @@ def test_a_number_without_end_in_one_row_keeps_no_other_back(server: Server, tmp
     assert send(server, tmp_path, store).problem == ""
     assert server.ask("SELECT macros FROM toolpoint.cnc") == [({"600": None, "601": 2.0},)]
     assert server.ask("SELECT um FROM toolpoint.displacements") == [({"dx": None, "dy": 1.0, "dz": None},)]
+
+
+PGBOUNCER = shutil.which("pgbouncer", path=f"{os.environ['PATH']}:/usr/sbin")
+
+
+@contextlib.contextmanager
+def pooler(server: Server) -> Iterator[int]:
+    """PgBouncer, which lends a connection for one transaction; yields its port."""
+    if PGBOUNCER is None:
+        pytest.skip("PgBouncer is not installed (apt-get install pgbouncer)")
+    port = free_port()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        folder.chmod(0o755)
+        (folder / "users").write_text(f'"{USER}" "{PASSWORD}"\n')
+        lines = ("[databases]", f"toolpoint = host=127.0.0.1 port={server.port} password='{PASSWORD}'")
+        own = ("[pgbouncer]", "listen_addr = 127.0.0.1", f"listen_port = {port}", "unix_socket_dir =")
+        users = (
+            "auth_type = plain",
+            f"auth_file = {folder / 'users'}",
+            "pool_mode = transaction",
+            f"admin_users = {USER}",
+        )
+        (folder / "pgbouncer.ini").write_text("\n".join((*lines, *own, *users, "")))
+        account = "postgres" if os.geteuid() == 0 else None
+        process = subprocess.Popen([PGBOUNCER, "-q", folder / "pgbouncer.ini"], user=account, cwd=folder)
+        try:
+            deadline_s = time.monotonic() + PATIENCE_S
+            while time.monotonic() < deadline_s:
+                with contextlib.suppress(psycopg.OperationalError):
+                    server.connection(port=port).close()
+                    break
+                time.sleep(0.05)
+            yield port
+        finally:
+            process.kill()
+            process.wait()
+
+
+def test_a_pooler_that_lends_a_connection_for_one_transaction_is_as_good(
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, stop = tmp_path / "h.sqlite", threading.Event()
+    fill(store, hours=0.1)
+
+    def patiently(done: Callable[[], bool]) -> None:
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not done() and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        assert done(), runner.cursor
+
+    with pooler(server) as port:
+        config = section(server, tmp_path, port=port)
+        runner = SinkRunner(config, store, MACHINE, stop, wait=lambda _duration_s: stop.wait(0.1))
+        problems: list[str] = []
+        monkeypatch.setattr(runner, "_note", problems.append)
+        thread = threading.Thread(target=runner.run)
+        thread.start()
+        try:
+            patiently(lambda: runner.cursor.stored_rows > 0)
+            before = runner.cursor.stored_rows
+            with server.connection("pgbouncer", port=port) as administrator:
+                administrator.execute("RECONNECT")  # as after `server_lifetime`: the sink is not told
+            fill(store, start_s=EPOCH_S + 3600.0, hours=0.1)
+            patiently(lambda: runner.cursor.stored_rows > before or bool(problems))
+        finally:
+            stop.set()
+            thread.join()
+        assert not problems
+        with server.connection(port=port) as other:
+            assert other.execute("SHOW search_path").fetchone() == ('"$user", public',)
 
 
 # --- refusals ------------------------------------------------------------------------------

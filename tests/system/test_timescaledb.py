@@ -49,8 +49,8 @@ def test_tables_over_time_are_hypertables_that_hold_every_row_once(config: Postg
     fill(store, hours=1.0)
     with opened(config):
         pass
-    with opened(config) as database, Outbox(store) as outbox:  # again: what is there stays
-        ask = database.connection.execute
+    with opened(config) as database, database.transaction() as connection, Outbox(store) as outbox:  # again: it stays
+        ask = connection.execute
         found = ask("SELECT hypertable_name FROM timescaledb_information.hypertables WHERE num_dimensions = 1")
         assert {name for (name,) in found} == set(PARTITIONED)
         assert ask("SELECT max(version) FROM schema_versions").fetchone() == (scripts()[-1][0],)
