@@ -218,6 +218,9 @@ def test_what_would_not_be_had_on_line_and_a_channel_that_is_made_worse_are_said
     assert sentence.startswith("test: 90% of the error could be removed, on line it would be 50%")
     assert "it goes beyond training (spindle speed to 7000 1/min (training: 5000)): record 2 runs" in sentence
     assert on_line_sentences([faster | {"online": online | {"reduction_rmse": 0.85}}], {}) == []
+    gaps = faster | {"online": online | {"following": 0.6, "imputed_unsure": 0.3}}
+    (sentence,) = on_line_sentences([gaps], {"test": ["t1 by 9 K (training: 8)"]})
+    assert "for 30% of the time" in sentence and "fields are empty" in sentence and "beyond training" not in sentence
     out = on_line_sentences([faster | {"excluded": [{"sensor": "t3"}]}] * 5, {})
     assert "sensors were excluded (t3)" in out[0] and out[-1] == "so it is in 2 more tests"
 

@@ -91,6 +91,12 @@ def _on_line_sentence(test: Mapping[str, Any], beyond: Sequence[str]) -> str:
             f"than {UNSURE_UM:g} um, above which the output holds: look at them, or record 2 more runs in which they "
             "do the same"
         )
+    elif unsure > UNSURE_SHARE * (1.0 - online["following"]):
+        cause = (
+            f"for {unsure:.0%} of the time what is imputed for temperatures that are missing may be off by more than "
+            f"{UNSURE_UM:g} um, above which the output holds, and after {HOLD_MIN:g} min goes back to zero: see in the "
+            "recording why their fields are empty"
+        )
     elif beyond:
         cause = (
             f"it goes beyond training ({', '.join(beyond)}): record 2 runs or cycles that go as far, and train on them"
