@@ -11,7 +11,7 @@ class Finding:
     passed: bool
     detail: str
     pending: bool = False
-    """Not passed because it is not set up yet: the configuration does not name it."""
+    """Not passed because it is not set up yet: the configuration does not name it, or the daemon is to make it."""
 
     @property
     def failed(self) -> bool:

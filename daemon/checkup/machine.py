@@ -1,6 +1,7 @@
 """`toolpoint check`: checks everything that the configuration names."""
 
 import asyncio
+import os
 import re
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from datetime import UTC, datetime
@@ -90,6 +91,7 @@ async def preflight(configuration: Configuration, clock: Clock, *, devices: bool
     """Try everything; nothing is written to the CNC."""
     yield model_finding(configuration)
     yield _record(configuration)
+    yield _history(configuration.history.path)
     for finding in served(configuration):
         yield finding
     if configuration.spindle_speed is not None:
@@ -154,6 +156,25 @@ def _record(configuration: Configuration) -> Finding:
     )
     detail = inhibit or f"{record.cnc_identity} by {record.person} on {record.date}"
     return Finding(subject="commissioning", passed=not inhibit, detail=detail)
+
+
+def _history(path: Path) -> Finding:
+    """Return whether the store can lie where `history.path` says."""
+    folder = path.absolute().parent
+    there = next(each for each in (folder, *folder.parents) if each.exists())
+    pending, detail = False, ""
+    if path.is_dir():
+        detail = f"history.path: {path} is a folder; name a file in it"
+    elif not there.is_dir():
+        detail = f"history.path: {there} is no folder, so {path} cannot be made"
+    elif there != folder:
+        pending, detail = (
+            True,
+            f"history.path: the folder {folder} is not there; the daemon makes it if it may write {there}",
+        )
+    elif there.stat().st_uid == os.geteuid() and not os.access(there, os.W_OK | os.X_OK):
+        detail = f"history.path: nothing can be written in {folder}"
+    return Finding(subject="history", passed=not detail, pending=pending, detail=detail or str(path))
 
 
 async def _attempt(subject: str, work: Callable[[], Awaitable[str]]) -> Finding:

@@ -43,6 +43,27 @@ def test_what_can_be_used_is_found_good_and_a_credential_is_the_services_own_aff
     assert status == 0 and "monitor-key is handed to the service" in output
 
 
+@pytest.mark.parametrize(
+    ("place", "status", "sentence"),
+    [
+        ("history.sqlite", 0, "ok history:"),
+        ("missing/folder/history.sqlite", 0, "not yet history: history.path: the folder"),
+        ("users/history.sqlite", 1, "users is no folder"),
+        ("trusted", 1, "trusted is a folder; name a file in it"),
+    ],
+)
+def test_where_the_history_cannot_lie_is_said_before_the_daemon_starts(
+    folder: Path, place: str, status: int, sentence: str
+) -> None:
+    content = yaml.safe_load(sample_configuration())
+    content["history"]["path"] = place
+    path = folder / "machine.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    ended = CliRunner().invoke(main, ["check", "--no-devices", "--config", str(path)])
+    assert (ended.exit_code, sentence in " ".join(ended.output.split())) == (status, True), ended.output
+    assert not (folder / "missing").exists(), "a check makes nothing"
+
+
 SERVED = ("monitor.crt", "monitor.key", "users", "tags.der", "tags.pem", "trusted/plc.der")
 
 

@@ -56,15 +56,17 @@ def test_a_missing_configuration_is_answered_with_the_ways_to_name_one(command: 
 
 def test_the_sample_passes_the_check_and_says_what_is_still_to_come(tmp_path: Path) -> None:
     path = tmp_path / "toolpoint.yaml"
-    path.write_text(sample_configuration(), encoding="utf-8")
+    sample = sample_configuration().replace("/var/lib/toolpoint/", f"{tmp_path}/not-installed/")
+    path.write_text(sample, encoding="utf-8")
     found = toolpoint("check", "--no-devices", "--config", path)
     assert found.exit_code == 0, found.output
     assert "FAIL" not in found.output
-    assert [line.split("  ")[0].strip() for line in found.output.splitlines()] == ["ok", "not yet", "not yet"]
+    assert [line.split("  ")[0].strip() for line in found.output.splitlines()] == ["ok", *["not yet"] * 3]
     findings = json.loads(toolpoint("check", "--no-devices", "--config", path, "--json", "-").output)
     assert [(f["subject"], f["passed"], f["pending"]) for f in findings] == [
         ("thermal model", False, True),
         ("commissioning", False, True),
+        ("history", False, True),
     ]
 
 
