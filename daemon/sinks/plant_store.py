@@ -31,6 +31,7 @@ from daemon.sinks.contract import Retry, SinkError
 from daemon.sinks.database import STORE, Database, time_of
 from daemon.sinks.mqtt import topic_level
 from daemon.sinks.outbox import DAY_MS, STREAMS, Stream
+from daemon.sinks.postgresql_refusals import less_than_stored
 from daemon.sinks.row_messages import JSON_COLUMNS
 from daemon.sinks.same_name import SameName
 from models.json_values import printable
@@ -58,6 +59,8 @@ TEXTS = frozenset(
 )
 ADDED_LATER = ("positions_mm",)
 """Columns that rows from machines with an earlier version do not have."""
+Newest = dict[tuple[str, str], int]
+"""Machine and stream -> time of the newest row that was put there [ms]."""
 FAULTS_OF_A_ROW = (
     *(psycopg.DataError, errors.NotNullViolation),
     *(errors.ProgramLimitExceeded, errors.StatementTooComplex),  # a key that is too long, JSON that is too deep
@@ -217,6 +220,7 @@ class Subscription:
         if message.qos == 0:
             return  # no row of a sink, and the broker would send them without end while the database is slow
         with self._changed:
+            self._subscribed = True  # by the session that the broker kept, whose rows come before it answers
             self._arrived.append(message)
             self._changed.notify_all()
 
@@ -238,6 +242,9 @@ class PlantStore:
         self._retry = Retry()
         self._said = ""
         self._same_name = SameName()
+        self._newest: Newest = {}
+        self._less: list[str] = []
+        """Machines of which the database has lost what was put there."""
 
     def run(self) -> None:
         """Work until stopped."""
@@ -258,6 +265,7 @@ class PlantStore:
         self._same_name = SameName()  # what was not acknowledged comes again, in its order
         try:
             self._open(database)
+            self._look_for_less(database)
             subscription.open()
             log.info("store.works", broker=self._config.mqtt.host, database=there.host)
             while not self._stop.is_set():
@@ -287,6 +295,26 @@ class PlantStore:
             opened.set()
             thread.join()
 
+    def _look_for_less(self, database: Database) -> None:
+        """Notice a database that was restored: the broker does not have again what that one lost.
+
+        What a machine's own sink sends there too is that one's to notice.
+        """
+        try:
+            found = database.connection.execute(
+                "SELECT machine, stream, "
+                "CASE generation WHEN '' THEN round(extract(epoch FROM newest) * 1000)::bigint END "
+                "FROM toolpoint.deliveries"
+            ).fetchall()
+        except (psycopg.Error, OSError) as error:
+            raise database.refused(error) from error
+        there = {(machine, stream): math.inf if ms is None else ms for machine, stream, ms in found}
+        lost = {key[0] for key, ms in self._newest.items() if there.get(key, -math.inf) < ms}
+        if lost:
+            self._newest = {}
+            self._less = sorted(lost.union(self._less))
+            log.error("store.less", problem=less_than_stored(self._less))
+
     def _works(self) -> None:
         if time.monotonic() - self._told_s >= TELL_PERIOD_S:
             self._told_s = time.monotonic()
@@ -296,14 +324,15 @@ class PlantStore:
                 f"no message has come yet: see that machines publish, and that the broker lets `user_name` read {topic}"
             )
             again = f"; {two_computers(names)}" if (names := self._same_name.names()) else ""
-            self._tell(f"stores; {came if self._stored else none}{again}")
+            less = f"; {less_than_stored(self._less)}" if self._less else ""
+            self._tell(f"stores; {came if self._stored else none}{again}{less}")
 
     def _store(self, database: Database, messages: Sequence[paho.MQTTMessage]) -> None:
         """Commit the rows of messages; one that the database does not take is named and left out."""
         rows = [row for message in messages if (row := self._row(message)) is not None]
         try:
             try:
-                _put(database, rows)
+                self._newest.update(_put(database, rows))
             except FAULTS_OF_A_ROW:
                 for row in rows:
                     self._works()
@@ -371,9 +400,10 @@ def _said(error: Exception) -> str:
     return printable(" ".join(str(error).split()))[:LONGEST_PROBLEM]
 
 
-def _put(database: Database, rows: Sequence[StoredRow]) -> None:
+def _put(database: Database, rows: Sequence[StoredRow]) -> Newest:
+    """Commit rows; return the newest time of each machine and stream among them."""
     of_stream: dict[str, list[StoredRow]] = {}
-    newest: dict[tuple[str, str], int] = {}
+    newest: Newest = {}
     for row in rows:
         of_stream.setdefault(row.stream.name, []).append(row)
         key = row.machine, row.stream.name
@@ -391,3 +421,4 @@ def _put(database: Database, rows: Sequence[StoredRow]) -> None:
                 "newest = greatest(deliveries.newest, excluded.newest), stored = now()",
                 [(machine, stream, time_of(ms)) for (machine, stream), ms in sorted(newest.items())],
             )
+    return newest

@@ -3,6 +3,7 @@
 from psycopg import errors
 
 from config.schema.sinks import PostgresqlConfig
+from models.json_values import printable
 
 HINTS = {
     "password authentication failed": "check `user_name` and `password_file`",
@@ -87,4 +88,13 @@ def name_taken(machine: str) -> str:
     return (
         f"another store, or this one on another computer, has sent as {machine} in the last minute: `machine` must "
         "differ from computer to computer; a store that was restored, moved or begun anew waits this minute"
+    )
+
+
+def less_than_stored(machines: list[str]) -> str:
+    """Return that rows are lost which the broker has no more, though the machines have."""
+    names = printable(", ".join(machines))
+    return (
+        f"`database` has less of {names} than this store had put there: it was restored or made anew, or "
+        "toolpoint.deliveries was altered: let these machines send again (docs/how-to/run-a-plant.md)"
     )

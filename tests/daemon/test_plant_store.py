@@ -3,9 +3,11 @@
 import hashlib
 import json
 import re
+import socket
 import subprocess
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,11 +18,11 @@ from mosquitto import mosquitto
 from paho.mqtt.publish import single
 from postgresql import PASSWORD, Server, postgresql
 
-from config.schema.plant_store import PlantStoreConfig
+from config.schema.plant_store import PlantStoreConfig, SubscriptionConfig
 from daemon.cli import main
 from daemon.simulation.processes import free_port
 from daemon.sinks.outbox import STREAMS
-from daemon.sinks.plant_store import LARGEST_MESSAGE, PlantStore, row_of
+from daemon.sinks.plant_store import LARGEST_MESSAGE, PlantStore, Subscription, row_of
 
 EVENT = {
     **{"key": "k", "machine": "mill/7", "stream": "events", "utc_ms": 1_760_000_400_000, "monotonic_ms": 5},
@@ -131,6 +133,67 @@ def test_a_message_that_the_database_refuses_keeps_no_other_back(server: Server,
     finally:
         stop.set()
         store.join()
+        broker.kill()
+
+
+def test_a_kept_session_is_at_work_with_its_first_row_not_when_the_broker_answers_after_a_thousand() -> None:
+    topic = TOPIC.encode()
+    content = len(topic).to_bytes(2) + topic + b"\x00\x01\x00{}"
+
+    def serve(listening: socket.socket) -> None:
+        connection, _ = listening.accept()
+        with connection:
+            connection.recv(4096)
+            connection.sendall(b"\x20\x03\x01\x00\x00" + bytes((0x32, len(content))) + content)
+            while connection.recv(4096):
+                pass
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        thread = threading.Thread(target=serve, args=(listening,))
+        thread.start()
+        there = {"host": "127.0.0.1", "port": listening.getsockname()[1], "tls": False, "timeout_s": 2.0}
+        subscription = Subscription(SubscriptionConfig.model_validate(there))
+        try:
+            subscription.open()
+            assert [each.topic for each in subscription.take(1.0)] == [TOPIC]
+        finally:
+            subscription.close()
+            thread.join()
+
+
+def test_a_database_that_was_restored_behind_the_broker_is_noticed_with_the_machines(
+    server: Server, tmp_path: Path
+) -> None:
+    broker, stop, told = plant_broker(tmp_path), threading.Event(), list[str]()
+    broker.start()
+    plant_store = PlantStore(section(server, broker.port, tmp_path), stop, told.append)
+    plant_store._retry.after_failure = lambda: 0.1
+    thread = threading.Thread(target=plant_store.run)
+
+    def until(done: Callable[[], object], meanwhile: Callable[[], object] = lambda: None) -> None:
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not done():
+            assert time.monotonic() < deadline_s, told
+            meanwhile()
+            time.sleep(0.1)
+
+    def publish() -> None:
+        single(TOPIC, json.dumps(EVENT), qos=1, hostname="127.0.0.1", port=broker.port)
+
+    try:
+        thread.start()
+        until(lambda: plant_store._newest, publish)
+        broker.kill()  # and with it the session of the store, which begins anew
+        broker.start()
+        until(lambda: told[-1].startswith("stores") and any(each.startswith("cannot") for each in told))
+        assert not any("has less" in each for each in told), "nothing was lost"
+        server.ask("UPDATE toolpoint.deliveries SET newest = newest - interval '1 day' RETURNING 1")  # last night's
+        broker.kill()
+        broker.start()
+        until(lambda: any("`database` has less of mill/7 than this store had put there" in each for each in told))
+    finally:
+        stop.set()
+        thread.join()
         broker.kill()
 
 
