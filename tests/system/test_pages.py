@@ -345,6 +345,14 @@ async def test_what_happened_stands_on_the_history_in_the_time_of_the_browser_an
         assert seen.said == []
 
 
+async def test_what_has_held_too_long_is_to_be_switched_on_again_whatever_else_is_to_be_done(tmp_path):
+    sentence = "held too long: no valid reference: the NC program has not passed its positioning"
+    asked = f"import('/messages.js').then(async (all) => {{ await all.load(); return all.remedies('{sentence}'); }})"
+    async with monitor(tmp_path) as bench, overview(f"http://127.0.0.1:{bench.port}/") as seen:
+        first, then = await seen.page.evaluate(asked)
+    assert "switch on again" in first and "position" in then
+
+
 async def test_switching_on_takes_the_right_and_a_confirmation(tmp_path):
     users = accounts_file(tmp_path, anna="operator", ben="viewer")
     async with monitor(tmp_path, users=users) as bench, chromium() as browser:

@@ -51,5 +51,5 @@ function found(sentence) {
   const [best, match] = fits.sort(([a, x], [b, y]) => (y[0].length === sentence.length) - (x[0].length === sentence.length) || literal(b.text) - literal(a.text))[0] ?? [];
   if (!best) return [];
   const within = match.slice(1).flatMap((piece) => (piece.length < sentence.length ? remedies(piece) : []));
-  return [...new Set([...(/^mend (the reason|what is named)/.test(best.remedy) && within.length ? [] : [best.remedy]), ...within])].slice(0, 2);
+  return [...new Set([...(/^mend (the reason|what is named)(?!.*switch on again)/.test(best.remedy) && within.length ? [] : [best.remedy]), ...within])].slice(0, 2);
 }
