@@ -35,6 +35,7 @@ from speed_rig import SAFE, SpeedRig
 from daemon.monitor.accounts import write_accounts
 from daemon.monitor.web.serving import serve_monitor
 from daemon.simulation.processes import free_port
+from daemon.snapshots import LinkSnapshot
 
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -351,6 +352,16 @@ async def test_what_has_held_too_long_is_to_be_switched_on_again_whatever_else_i
     async with monitor(tmp_path) as bench, overview(f"http://127.0.0.1:{bench.port}/") as seen:
         first, then = await seen.page.evaluate(asked)
     assert "switch on again" in first and "position" in then
+
+
+async def test_a_link_that_is_back_says_when_it_was_lost(tmp_path):
+    lost = {"attempts": 2, "failures": 1, "losses": 1, "last_problem": "no answer", "last_problem_utc_s": 1.75e9}
+    async with monitor(tmp_path) as bench, chromium() as browser:
+        bench.rig.snapshots.links = (LinkSnapshot(name="cnc", up=True, problem="", **lost),)
+        seen = await watched(browser, f"http://127.0.0.1:{bench.port}/", timezone_id="Europe/Berlin")
+        await seen.open("overview")
+        await expect(seen.page.locator("main")).to_contain_text("lost once, 2025-06-15 17:06:40: no answer")
+        assert seen.said == []
 
 
 async def test_switching_on_takes_the_right_and_a_confirmation(tmp_path):

@@ -1,6 +1,6 @@
 // Overview: is it working, and how do I know.
 
-import { h, s, put, prose, card, choice, number, signed, um, per, unit, seconds, duration, NONE } from "../dom.js";
+import { h, s, put, prose, card, choice, clock, number, signed, um, per, unit, seconds, duration, NONE } from "../dom.js";
 import { STATES, TERMS } from "../words.js";
 import { Chart } from "../charts.js";
 import { ask, act, series } from "../api.js";
@@ -231,7 +231,7 @@ function speed({ spindle_speed: found }) {
 
 function links({ links: found }) {
   return card("Links", h("ul", { class: "checks" }, found.map((link) => h("li", { class: link.up ? "yes" : "no" }, h("span", {}, link.name,
-    link.up ? ": up" : ": down", (link.losses > 0 || !link.up) && h("small", {}, prose(link.up ? `lost ${link.losses} times, the last: ${link.last_problem}` : link.problem || "not up yet")), !link.up && todo(link.problem))))));
+    link.up ? ": up" : ": down", (link.losses > 0 || !link.up) && h("small", {}, prose(link.up ? `lost ${link.losses === 1 ? "once" : `${link.losses} times, the last`}, ${clock(link.last_problem_time, { date: true })}: ${link.last_problem}` : link.problem || "not up yet")), !link.up && todo(link.problem))))));
 }
 
 function latency({ latency: found }) {
