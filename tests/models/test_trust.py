@@ -8,6 +8,7 @@ from models.records import FloatArray
 from models.thermal.bias import BiasFilter
 from models.thermal.features import lag_table
 from models.thermal.solution import band_factor, leverage_and_size
+from models.thermal.training import trust
 from models.thermal.training.domain import farthest_leverage, leverage_positions
 from models.thermal.training.families import held_out_um
 from models.thermal.training.folds import cycles, few_folds_factor, inner_folds
@@ -137,6 +138,33 @@ def test_the_band_of_so_many_runs_holds_on_a_further_run(runs: int) -> None:
         half_um = half_width_um([np.full((50, 1), each) for each in offsets_um[1:]], runs)
         inside.append(abs(offsets_um[0]) <= half_um[0])
     assert 0.82 < np.mean(inside) < 0.95
+
+
+def test_the_band_of_whole_runs_that_differ_in_size_alone_is_not_wider_than_they_need() -> None:
+    rng = np.random.default_rng(4)
+    inside = []
+    for _ in range(1000):
+        sizes_um, begins = 3.0 * np.exp(0.2 * rng.normal(size=5)), rng.uniform(0.0, 6.0, 5)
+        left_um = [a * np.sin(np.linspace(0.0, 12.0, 50) + b) for a, b in zip(sizes_um, begins, strict=True)]
+        half_um = [
+            half_width_um([each[:, None] for each in left_um[1:]], 4, whole_runs=whole)[0] for whole in (False, True)
+        ]
+        inside.append([(np.abs(left_um[0]) <= half).mean() for half in half_um])
+    narrow_enough = np.mean(inside, axis=0)
+    assert narrow_enough[0] > 0.97 > narrow_enough[1] > 0.93
+
+
+@pytest.mark.parametrize(("days", "hours", "whole"), [(3, 4, True), (2, 4, False), (1, 10, False)])
+def test_three_whole_runs_are_told_from_cycles_and_from_two(
+    monkeypatch: pytest.MonkeyPatch, days: int, hours: int, whole: bool
+) -> None:
+    inputs = build_inputs([warming(hours)] * days, sample_s=60.0)
+    rows = inputs.trainable()
+    fold, _ = inner_folds(inputs, rows)
+    told = []
+    monkeypatch.setattr(trust, "half_width_um", lambda *_, whole_runs: told.append(whole_runs) or np.ones(1))
+    judge(inputs, rows, fold, RidgeFamily(inputs, rows, fold, None, DEPARTURES))
+    assert told == [whole]
 
 
 def test_the_band_of_two_runs_tells_how_they_differ_and_not_how_their_cycles_do() -> None:

@@ -240,17 +240,18 @@ def _band_um(
             else:
                 parts.append(probed_residual_um(time_min, residual_um, probe_min, bias_filter))
         left_um.append(np.vstack(parts))
-    return half_width_um(left_um, independent_folds(inputs, rows, len(left_um)))
+    runs = len(np.unique(inputs.run[rows]))
+    return half_width_um(left_um, independent_folds(inputs, rows, len(left_um)), whole_runs=runs >= FEWEST_RUNS)
 
 
-def half_width_um(left_out_um: Sequence[FloatArray], independent: int) -> FloatArray:
+def half_width_um(left_out_um: Sequence[FloatArray], independent: int, *, whole_runs: bool = False) -> FloatArray:
     """Return the half width of the band, from what was left of each run that was left out, shape (n_channels,).
 
     Rows of a run are nearly equal, so that runs count alike however many rows they have, and how many rows there are
     says nothing of how sure the width is: the number of runs does, by Student's factor.
 
     `left_out_um`: of each run, at least one, shape (n_rows, n_channels) [um]. `independent`: how many of them count as
-    independent.
+    independent. `whole_runs`: they are three whole runs or more, of which the root of that factor is enough.
     """
     from scipy.special import ndtri, stdtrit  # noqa: PLC0415 - never loaded by the resident daemon
 
@@ -260,7 +261,8 @@ def half_width_um(left_out_um: Sequence[FloatArray], independent: int) -> FloatA
     below = np.cumsum(shares[order], axis=0)
     place = np.minimum((below < BAND_QUANTILE - 1e-9).sum(axis=0), len(table) - 1)
     widest = np.take_along_axis(table, np.take_along_axis(order, place[None], axis=0), axis=0)[0]
-    return np.asarray(stdtrit(independent, BAND_QUANTILE) / ndtri(BAND_QUANTILE) * widest)
+    factor = stdtrit(independent, BAND_QUANTILE) / ndtri(BAND_QUANTILE)
+    return np.asarray((np.sqrt(factor) if whole_runs else factor) * widest)
 
 
 def independent_folds(inputs: Inputs, rows: BoolArray, folds: int) -> int:
