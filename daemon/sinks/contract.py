@@ -19,8 +19,8 @@ class SinkWaitsError(SinkError):
 
 
 RETRY_FIRST_S, RETRY_LONGEST_S = 0.2, 60.0
-RETRY_GROWTH = 1.5
-"""What was away for a while is tried again within half of that while."""
+RETRY_GROWTH = 1.25
+"""What was away for a while is tried again within a quarter of that while."""
 LASTED_S = 10.0
 """After a connection that lasted so long the next loss is tried again at once."""
 

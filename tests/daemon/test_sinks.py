@@ -27,6 +27,7 @@ from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.cursors import Cursor, cursor_path
 from daemon.history.database import HistoryError, connect_reader
 from daemon.housekeeping.jobs import job_snapshots
+from daemon.sinks import contract
 from daemon.sinks.contract import Progress, SinkError
 from daemon.sinks.outbox import STREAMS, Outbox
 from daemon.sinks.running import SinkRunner, alone, run_sinks, sink_status
@@ -312,3 +313,15 @@ def test_the_command_without_the_section_says_where_to_read(tmp_path: Path) -> N
     path.write_text(path.read_text().split("\nsinks:")[0])
     done = CliRunner().invoke(main, ["sink", "status", "--config", str(path)])
     assert done.exit_code == 2 and "there is no section `sinks`" in done.output
+
+
+def test_what_comes_back_is_tried_again_within_a_quarter_of_the_time_that_it_was_away(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(contract.random, "uniform", lambda _low, _high: 1.0)
+    retry, away_s = contract.Retry(), 0.0
+    while away_s < 1000.0:
+        wait_s = retry.after_failure()
+        assert wait_s <= min(contract.RETRY_FIRST_S + away_s / 4.0 + 1e-9, contract.RETRY_LONGEST_S)
+        away_s += wait_s
+    assert wait_s == contract.RETRY_LONGEST_S
