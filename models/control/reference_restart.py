@@ -171,7 +171,12 @@ def _unseen(left: ReferenceDocument, sample: CncSample, rules: ReferenceRules) -
 
 
 def _counts_otherwise(left: ReferenceDocument, rules: ReferenceRules) -> str:
-    """Return what was changed since, without which nothing that was kept may be counted from; '' when nothing was."""
+    """Return what was changed since, without which nothing that was kept may be counted from; '' when nothing was.
+
+    Version 0.1.0 kept no marks, so that there is nothing to compare.
+    """
+    if not left.counts_with:
+        return ""
     if left.counts_with.keys() != rules.counts_with.keys():
         return "another version of the daemon kept it, or one that knew other axes"
     changed = [what for what, mark in left.counts_with.items() if rules.counts_with[what] != mark]

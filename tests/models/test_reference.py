@@ -442,11 +442,13 @@ def test_what_is_kept_counts_with_the_sensors_and_the_factors_that_it_was_kept_w
         "the list of sensors changed while the daemon was away",
         "the list of sensors changed while the daemon was away; set these tools again",
     ]
-    for named in ({"sensors, as another version calls them": "1 2", "the factor": "1"}, {}):
-        left = left_by(memory, 40.0, rules=replace(RULES, counts_with=named))
-        again, effects, output = begun(left, sample(40.0), rules=kept)
-        assert again.in_force is None and not output.tools
-        assert "another version of the daemon" in said(effects)[0]
+    named = {"sensors, as another version calls them": "1 2", "the factor": "1"}
+    left = left_by(memory, 40.0, rules=replace(RULES, counts_with=named))
+    again, effects, output = begun(left, sample(40.0), rules=kept)
+    assert again.in_force is None and not output.tools
+    assert "another version of the daemon" in said(effects)[0]
+    without_marks = left_by(memory, 40.0, rules=replace(RULES, counts_with={}))
+    assert begun(without_marks, sample(40.0), rules=kept)[0].in_force is not None, "version 0.1.0 kept none"
 
 
 def test_a_restart_before_the_answer_to_a_positioning_does_not_take_the_reference_before_up():
