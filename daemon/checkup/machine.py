@@ -160,21 +160,23 @@ def _record(configuration: Configuration) -> Finding:
 
 def _history(path: Path) -> Finding:
     """Return whether the store can lie where `history.path` says."""
-    folder = path.absolute().parent
-    there = next(each for each in (folder, *folder.parents) if each.exists())
-    pending, detail = False, ""
-    if path.is_dir():
-        detail = f"history.path: {path} is a folder; name a file in it"
-    elif not there.is_dir():
-        detail = f"history.path: {there} is no folder, so {path} cannot be made"
-    elif there != folder:
-        pending, detail = (
-            True,
-            f"history.path: the folder {folder} is not there; the daemon makes it if it may write {there}",
-        )
-    elif there.stat().st_uid == os.geteuid() and not os.access(there, os.W_OK | os.X_OK):
-        detail = f"history.path: nothing can be written in {folder}"
-    return Finding(subject="history", passed=not detail, pending=pending, detail=detail or str(path))
+    folder, wrong, pending = path.absolute().parent, "", False
+    try:
+        there = next(each for each in (folder, *folder.parents) if each.exists())
+        if path.is_dir():
+            wrong = f"{path} is a folder; name a file in it"
+        elif not there.is_dir():
+            wrong = f"{there} is no folder, so {path} cannot be made"
+        elif pending := there != folder:
+            wrong = f"the folder {folder} is not there; the daemon makes it if it may write {there}"
+        elif there.stat().st_uid == os.geteuid() and not os.access(there, os.W_OK | os.X_OK):
+            wrong = f"nothing can be written in {folder}"
+    except PermissionError:  # a service's folder is closed to others, and its own user finds it open
+        return Finding(subject="history", passed=True, detail=f"{path}, in a folder that is closed to this user")
+    except OSError as error:
+        wrong = f"{error.strerror}: {path}"
+    detail = f"history.path: {wrong}" if wrong else str(path)
+    return Finding(subject="history", passed=not wrong, pending=pending, detail=detail)
 
 
 async def _attempt(subject: str, work: Callable[[], Awaitable[str]]) -> Finding:

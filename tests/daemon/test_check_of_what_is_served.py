@@ -7,6 +7,8 @@ import pytest
 import yaml
 from certificates import make_certificate
 from click.testing import CliRunner
+from model_folder import open_folder
+from other_user import OTHER, as_root, as_user
 
 from config.sample import sample_configuration
 from daemon.cli import main
@@ -50,6 +52,7 @@ def test_what_can_be_used_is_found_good_and_a_credential_is_the_services_own_aff
         ("missing/folder/history.sqlite", 0, "not yet history: history.path: the folder"),
         ("users/history.sqlite", 1, "users is no folder"),
         ("trusted", 1, "trusted is a folder; name a file in it"),
+        ("a" * 300 + "/history.sqlite", 1, "history.path: File name too long"),
     ],
 )
 def test_where_the_history_cannot_lie_is_said_before_the_daemon_starts(
@@ -62,6 +65,20 @@ def test_where_the_history_cannot_lie_is_said_before_the_daemon_starts(
     ended = CliRunner().invoke(main, ["check", "--no-devices", "--config", str(path)])
     assert (ended.exit_code, sentence in " ".join(ended.output.split())) == (status, True), ended.output
     assert not (folder / "missing").exists(), "a check makes nothing"
+
+
+@as_root
+def test_a_check_by_another_user_than_the_services_goes_past_the_folder_that_is_closed_to_him() -> None:
+    with open_folder() as folder:
+        (folder / "state").mkdir(mode=0o700)
+        content = yaml.safe_load(sample_configuration())
+        content["history"]["path"] = "state/history.sqlite"
+        path = folder / "machine.yaml"
+        path.write_text(yaml.safe_dump(content), encoding="utf-8")
+        words = ["check", "--no-devices", "--config", str(path)]
+        output = as_user(OTHER, lambda: CliRunner().invoke(main, words).output)
+        assert "closed to this user" in " ".join(output.split()), output
+        assert CliRunner().invoke(main, words).exit_code == 0
 
 
 SERVED = ("monitor.crt", "monitor.key", "users", "tags.der", "tags.pem", "trusted/plc.der")
