@@ -140,6 +140,11 @@ def interval(request: Request, from_s: float | None, to_s: float | None) -> tupl
     return start_s, end_s
 
 
+def _json(body: bytes, *, packed: bool) -> Response:
+    headers = {"content-encoding": "gzip"} if packed else {}
+    return Response(body, headers=headers | {"vary": "accept-encoding"}, media_type="application/json")
+
+
 @router.get("/names", response_model=schemas.Names)
 async def names(request: Request, person: Viewer) -> Response:
     """Return the series that can be asked for."""
@@ -199,9 +204,7 @@ async def series(
     start_s, end_s = interval(request, from_s, to_s)
     packed = takes_gzip(request.headers)
     unique = list(dict.fromkeys(name))
-    body = await recorded_of(request).series(unique, start_s, end_s, points, packed=packed)
-    headers = {"content-encoding": "gzip"} if packed else {}
-    return Response(body, headers=headers | {"vary": "accept-encoding"}, media_type="application/json")
+    return _json(await recorded_of(request).series(unique, start_s, end_s, points, packed=packed), packed=packed)
 
 
 @router.get("/writes", response_model=schemas.Writes)
@@ -224,9 +227,7 @@ async def writes(
         return encoded(found, packed=packed)
 
     packed = takes_gzip(request.headers)
-    body = await recorded_of(request).query(ask)
-    headers = {"content-encoding": "gzip"} if packed else {}
-    return Response(body, headers=headers | {"vary": "accept-encoding"}, media_type="application/json")
+    return _json(await recorded_of(request).query(ask), packed=packed)
 
 
 @router.get("/past-events", response_model=schemas.Events)
@@ -242,12 +243,13 @@ async def past_events(
     """Return what happened: changes of state, references, requests with the person, faults; the newest first."""
     start_s, end_s = interval(request, from_s, to_s)
 
-    def ask(reader: SeriesReader, go_on: object) -> dict[str, Any]:
+    def ask(reader: SeriesReader, go_on: object) -> bytes:
         found, kinds = reader.latest_events(start_s, end_s, kind, text, limit + 1)
         events = [{"time": e.time_s, "kind": e.kind, "text": e.text, "person": e.person} for e in found[:limit]]
-        return {"events": events, "kinds": kinds, "more": len(found) > limit}
+        return encoded({"events": events, "kinds": kinds, "more": len(found) > limit}, packed=packed)
 
-    return JSONResponse(await recorded_of(request).query(ask))
+    packed = takes_gzip(request.headers)
+    return _json(await recorded_of(request).query(ask), packed=packed)
 
 
 @router.get(
