@@ -155,11 +155,12 @@ def _speeds_within(modes: ModalResponse, passing_hz: float, tolerance: float) ->
     passes by more than half its width between two of them. `passing_hz`: tooth-passing frequency [Hz].
     """
     apart = min(mode.damping_ratio / max(mode.frequency_hz / passing_hz, 1.0) for mode in modes.modes())
-    count = math.ceil(tolerance / apart)
-    if count > MOST_SPEEDS:
+    if tolerance > MOST_SPEEDS * apart:
         raise StabilityError(
-            f"{2 * count + 1} speeds within its tolerance would have to be looked at; lower tolerance_percent"
+            f"more than {2 * MOST_SPEEDS} speeds within its tolerance would have to be looked at; lower "
+            "tolerance_percent"
         )
+    count = math.ceil(tolerance / apart)
     between = tolerance * np.arange(1, count) / max(count, 1)
     shares: FloatArray = 1.0 + np.concatenate(([-tolerance, 0.0, tolerance], between, -between))
     return shares

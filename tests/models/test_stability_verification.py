@@ -104,6 +104,14 @@ def test_a_mode_that_appears_is_found_although_the_modes_before_are_known() -> N
     assert [round(mode.frequency_hz) for mode in found.xx] == [605, 900, 1340]
 
 
+@pytest.mark.parametrize("damping_ratio", [1e-3, 1e-320])
+def test_a_tolerance_that_would_take_too_long_to_verify_is_denied(damping_ratio: float) -> None:
+    light = ModalResponse(xx=(mode_from_stiffness(3000.0, damping_ratio, 2e7),))
+    check = StabilityVerification(CUT)
+    assert "more than 200 speeds within its tolerance" in check.denial(light, 1000.0, 1e-6, 0.02)
+    assert "more than 200 speeds" not in check.denial(MODES, 10_200.0, 1.0, 0.02)
+
+
 def test_what_chatters_between_a_speed_and_the_ends_of_its_tolerance_is_denied() -> None:
     """A heavy, lightly damped spindle: the command may stand at any speed within the tolerance."""
     start_rad, exit_rad = engagement_rad(MillingMode.DOWN, 0.5, 10.0)
