@@ -115,11 +115,10 @@ class AxisTracker:
         to the three groups of bearings. `frequency_hz`: evenly spaced [Hz], shape (n,). `near_hz`: the resonance
         nearest to this is followed [Hz]; None: the highest.
         """
-        self.regression = regression
+        self.regression, self._assembly = regression, assembly
         self._condensed = CondensedAssembly(assembly, frequency_hz)
         self._coarse = CondensedAssembly(assembly, frequency_hz[::COARSE])
         start = self.parameters(self._reference())
-        self._wide = CondensedAssembly(assembly, WIDE_HZ).receptance(properties_from_parameters(start))
         self._follower = ResonanceFollower(
             frequency_hz, self.receptance, start, near_hz, on_the_way=self._coarse_receptances
         )
@@ -135,11 +134,14 @@ class AxisTracker:
 
         The real part of the receptance spans as much over a resonance as this one limits the depth of cut.
         """
-        real, frequency_hz = self._wide.real, self._condensed.frequency_hz
-        first, last = np.searchsorted(WIDE_HZ, (frequency_hz[0], frequency_hz[-1]))
-        inside = np.ptp(real[first:last])
-        for beside in (slice(0, first), slice(last, None)):
-            if np.ptp(real[beside]) > inside:
+        properties = properties_from_parameters(self.parameters(self._reference()))
+        real = CondensedAssembly(self._assembly, WIDE_HZ).receptance(properties).real
+        low_hz, high_hz = self._condensed.frequency_hz[[0, -1]]
+        below, above = low_hz > WIDE_HZ, high_hz < WIDE_HZ
+        within = ~(below | above)
+        inside = np.ptp(real[within]) if within.any() else 0.0
+        for beside in (below, above):
+            if beside.any() and np.ptp(real[beside]) > inside:
                 return float(WIDE_HZ[beside][np.argmin(real[beside])])
         return None
 

@@ -266,6 +266,18 @@ def test_a_flagged_property_is_taken_to_both_ends_of_its_range() -> None:
     assert min(abs(peak.frequency_hz - ends.at_lowest_hz) for peak in peaks(FREQUENCY_HZ, at_low)) < 1.0
 
 
+@pytest.mark.parametrize(
+    ("low_hz", "high_hz", "beside_hz"),
+    [(10.0, 11_000.0, None), (10.0, 1300.0, 3411.0), (900.0, 2500.0, 658.0), (300.0, 2500.0, 3411.0)],
+)
+def test_the_largest_resonance_is_looked_for_beside_any_band(
+    low_hz: float, high_hz: float, beside_hz: float | None
+) -> None:
+    spindle = read_spindle(spindle_folder() / "simulated_machine.yaml")
+    tracker = AxisTracker(linear_axis(), spindle.assembly("tool"), np.arange(low_hz, high_hz, 1.5625))
+    assert tracker.beside_the_band() == (None if beside_hz is None else pytest.approx(beside_hz, abs=5.0))
+
+
 def test_a_property_whose_range_loses_the_mode_may_move_it_by_anything() -> None:
     axis = linear_axis()
     bounds = Bounds(lowest=3e7, highest=4.9e7)
