@@ -1,11 +1,13 @@
 """A spindle as data: segments, materials, rings, bearings, holder, tool, joints (YAML)."""
 
+import json
 from functools import cache
 from pathlib import Path
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
+from config.files import sha256_of
 from config.loader import load_yaml_model
 from config.schema.base import KeyPath, KeyProblems, Name, Section
 
@@ -251,6 +253,27 @@ class SpindleDescription(Section):
         if problems:
             raise KeyProblems(problems)
         return self
+
+    def shaft_sha256(self) -> str:
+        """Return a checksum of the shaft, on which bearings that were identified with it depend: of no holder or tool.
+
+        The core of a segment is of the holder's taper, and what is said to people does not count.
+        """
+        words = {"origin", "note"}
+        parts = self.model_dump(
+            mode="json",
+            include={"structural_damping", "segments", "joints"},
+            exclude={"segments": {"__all__": {"core", *words}}, "joints": {"__all__": words}},
+            exclude_defaults=True,
+        )
+        supports = [(bearing.position_mm, bearing.group) for bearing in self.bearings or ()]
+        told = json.dumps([parts, supports], sort_keys=True)
+        materials = {
+            name: each.model_dump(mode="json", exclude=words, exclude_defaults=True)
+            for name, each in self.materials.items()
+            if json.dumps(name) in told
+        }
+        return sha256_of((told + json.dumps(materials, sort_keys=True)).encode())
 
 
 class _Materials(Section):

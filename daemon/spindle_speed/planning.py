@@ -75,6 +75,12 @@ class OperationPlanning:
                     f"{operation.spindles[axis]}: it holds no tool, and the response of the spindle alone is not the "
                     f"tool's; add `tool`, that of T{operation.tool_number}"
                 )
+            if model.shaft_sha256 and model.shaft_sha256 != spindle.description.shaft_sha256():
+                raise StabilityError(
+                    f"{operation.spindles[axis]}: the bearings of {model.model_id} were identified with another shaft "
+                    "(segments, joints, materials, or bearings' groups and positions differ): describe the shaft as in "
+                    "the file of the impact campaign, or identify the bearings with this one"
+                )
         assemblies: dict[str, SpindleAssembly] = {axis: spindle.assembly() for axis, spindle in spindles.items()}
         near_hz = {str(axis): value for axis, value in operation.near_hz.items()}
         try:

@@ -206,6 +206,8 @@ class ThermomechanicalModel:
     axes: Mapping[str, AxisRegression]
     training: tuple[str, ...] = ()
     """What was measured for it, one sentence each."""
+    shaft_sha256: str = ""
+    """Checksum of the shaft with which they were identified, whatever is clamped into it; empty where nobody says."""
 
     def __post_init__(self) -> None:
         """Check axes and setting; raises ModelError."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from dynamics_command import call
 
+from config.machine.spindle import load_spindle
 from config.machines import shipped_file
 from models.thermomechanics.artifact import model_from_json
 
@@ -54,6 +55,7 @@ def test_model_report_and_result(simulated: Path, tmp_path: Path) -> None:
     fitted = model_from_json(model.read_text(), str(model))
     assert found["model_id"] == fitted.model_id
     assert set(fitted.axes) == {"x", "y"}
+    assert fitted.shaft_sha256 == load_spindle(simulated / "spindle.yaml").shaft_sha256()
     assert found["signals"]["used"] == list(fitted.signals)
     assert found["signals"]["groups"]
     properties = found["axes"]["y"]["properties"]

@@ -1,5 +1,6 @@
 """The tuning of the spindle speed in the daemon, on a CNC in this process that runs the shipped speed program."""
 
+import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from speed_machine import COLD, MACROS, bearing_model, speed_machine
 from speed_rig import CUT, SAFE, SpeedRig
 
 from config.loader import parse_yaml_model
-from config.machine.spindle import spindle_folder
+from config.machine.spindle import load_spindle, spindle_folder
 from config.schema import Configuration
 from config.schema.base import ConfigurationError
 from config.schema.spindle_speed import SpindleSpeedConfig
@@ -304,3 +305,24 @@ def test_the_bearings_of_another_spindle_are_refused(tmp_path: Path, groups: tup
     said = "knows the bearings 12, 34, 5 along x, and the spindle has " + ", ".join(sorted({*groups}))
     with pytest.raises(StabilityError, match=said):
         planned_with(with_spindle(tmp_path, other), bearing_model())
+
+
+def test_bearings_that_were_identified_with_another_shaft_are_refused(tmp_path: Path) -> None:
+    """Another holder, tool or word changes nothing; a longer segment, a softer material or a moved bearing does."""
+    shipped = shipped_spindle()
+    sha256 = load_spindle(spindle_folder() / "simulated_machine.yaml").shaft_sha256()
+    model = replace(bearing_model(), shaft_sha256=sha256)
+    shipped["note"] = shipped["segments"][0]["note"] = "measured again"
+    shipped["tool"]["segments"][0]["length_mm"] -= 5.0
+    shipped["bearings"][0]["kt_n_per_m"] *= 1.1
+    shipped["materials"] = {"of_the_tool": {"E_gpa": 600.0, "G_gpa": 250.0, "nu": 0.2, "density_g_cm3": 14.0}}
+    planned_with(with_spindle(tmp_path, shipped), model)
+    for place, key in (("segments", "length_mm"), ("bearings", "position_mm")):
+        other = copy.deepcopy(shipped)
+        other[place][-2][key] -= 1.0
+        with pytest.raises(StabilityError, match=r"spindle.yaml: the bearings of made-up .* another shaft"):
+            planned_with(with_spindle(tmp_path, other), model)
+    name = shipped["segments"][0].get("material") or next(iter(shipped["segments"][0]["mixture"]))
+    shipped["materials"] = {name: {"E_gpa": 60.0, "G_gpa": 25.0, "nu": 0.3, "density_g_cm3": 7.8}}
+    with pytest.raises(StabilityError, match="another shaft"):
+        planned_with(with_spindle(tmp_path, shipped), model)

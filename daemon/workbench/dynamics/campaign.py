@@ -235,6 +235,7 @@ def run_campaign(
         spindle_sha256=sha256_of(read_whole(spindle_file)),
         axes={axis: fit[0] for axis, fit in fits.items()},
         training=tuple(_training(run) for run in runs),
+        shaft_sha256=spindle.description.shaft_sha256(),
     )
     digest = sha256_of(model_to_json(model).encode("ascii"))
     return CampaignResult(

@@ -33,14 +33,19 @@ class TrackedDay:
     warnings: tuple[str, ...]
 
 
-def inertia_warnings(model: ThermomechanicalModel, spindles: Mapping[str, Spindle]) -> list[str]:
-    """Return a sentence for each axis whose spindle is computed with another rotary inertia than the model's."""
+def warnings_of(model: ThermomechanicalModel, spindles: Mapping[str, Spindle]) -> list[str]:
+    """Return a sentence for each axis whose spindle is not computed as the bearings of the model were identified."""
     found = [warning for spindle in spindles.values() for warning in spindle.warnings]
     found += [
         f"axis {axis}: the model {model.model_id} was identified with rigid_rotary_inertia "
         f"{model.rigid_rotary_inertia}, but the spindle is computed with {spindle.rotary}; resonances are shifted"
         for axis, spindle in spindles.items()
         if spindle.rotary != model.rigid_rotary_inertia
+    ]
+    found += [
+        f"axis {axis}: the bearings of {model.model_id} were identified with another shaft; resonances are shifted"
+        for axis, spindle in spindles.items()
+        if model.shaft_sha256 and model.shaft_sha256 != spindle.description.shaft_sha256()
     ]
     return list(dict.fromkeys(found))
 
@@ -85,9 +90,7 @@ def track_recording(
             found.append(dynamics)
     if not found:
         raise TrackingError(f"{temperatures.name}: at no time have all of {', '.join(model.signals)} a temperature")
-    return TrackedDay(
-        time_min=np.array(times), dynamics=tuple(found), warnings=tuple(inertia_warnings(model, spindles))
-    )
+    return TrackedDay(time_min=np.array(times), dynamics=tuple(found), warnings=tuple(warnings_of(model, spindles)))
 
 
 def tracking_summary(day: TrackedDay) -> dict[str, Any]:
