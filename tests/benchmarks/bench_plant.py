@@ -21,7 +21,7 @@ from postgresql import PASSWORD, Server, postgresql
 
 from daemon.simulation.fleet.run import plan_of, processor_s, route_of, simulate_fleet
 
-SETTINGS = ("max_connections=1100", "fsync=on")
+SETTINGS = ("max_connections=1100", "fsync=on", "recovery_init_sync_method=syncfs")
 """A sink of each machine has a connection; the tests' server does not wait for its disk, this one does."""
 
 
