@@ -10,20 +10,45 @@ o<toolpoint> sub
 @end
 (o<toolpoint> call [5] [0] INITIALISES, [5] [1] FORGETS WHAT IS APPLIED)
 (LIST #{first} TO #{last} IN THE PARAMETER FILE, OR THEY ARE LOST WITH EVERY START)
+o3 if [#<_task> EQ 0]
+(A PREVIEW RUNS THIS TOO, AND WOULD WAIT FOR EVER)
+o<toolpoint> return [0]
+o3 endif
 #<what>=#1
 #<status>=0
 #<trouble>=0
 #<tries>=0
+(A RUN FROM LINE PASSES THIS AND MOVES NOTHING: THE AXES ARE NOT WHERE THE PROGRAM HAS TAKEN THEM)
+#<x>=#5420
+#<y>=#5421
+#<z>=#5422
+M66 E{clock} L0
+#<now>=#5399
+#<passed>=[[#<_ccomp> EQ 400] AND [ABS[#<x>-#5420]+ABS[#<y>-#5421]+ABS[#<z>-#5422] GT 0.001]]
+o5 if [EXISTS[#<_toolpoint_passed>]]
+(ANOTHER CALL BEHIND IT, BEFORE THE PROGRAM HAS GONE ON)
+o6 if [ABS[#<now>-#<_toolpoint_passed>] LT 0.5]
+#<passed>=1
+o6 endif
+o5 endif
+@flag
+o2 if [#<what> EQ 4]
+M68 E{safe_flag} Q0
+M66 E{clock} L0
+o<toolpoint> return [0]
+o2 endif
+@end
+o4 if [#<passed>]
+#<_toolpoint_passed>=#<now>
+(MSG, TOOLPOINT PASSED IN RUN FROM LINE)
+M66 E{clock} L0
+o<toolpoint> return [0]
+o4 endif
 @flag
 o1 if [#<what> EQ 3]
 M68 E{safe_flag} Q1
 #<what>=1
 o1 endif
-o2 if [#<what> EQ 4]
-M66 E{clock} L0
-M68 E{safe_flag} Q0
-o<toolpoint> return
-o2 endif
 @end
 (READ THE BLOCK, LAST WORD FIRST. M66 ENDS THE READING AHEAD. AGAIN WHILE IT IS BEING WRITTEN)
 o10 do
@@ -245,6 +270,8 @@ M68 E{echo_status} Q[#<status>]
 M68 E{echo_time} Q[#<now>]
 o71 endif
 o70 endif
+(THE ECHO IS OUT BEFORE THIS ENDS: A RUN FROM LINE THROWS AWAY WHAT STILL WAITS THEN)
+M66 E{clock} L0
 @request
 o80 if [#<what> EQ 2]
 o81 if [[#2 LT 1] OR [#2 GT 3] OR [FIX[#2] NE #2] OR [#3 LT 0] OR [#3 GT {axis_count}] OR [FIX[#3] NE #3]]
@@ -280,6 +307,7 @@ M66 E{acknowledge} L0
 o85 while [[ABS[#<ack>] NE #{counted}] AND [#<now>-#<begun> LT {timeout_s}]]
 o86 if [ABS[#<ack>] NE #{counted}]
 M68 E{kind} Q0
+M66 E{clock} L0
 {timed_out}
 o86 elseif [#<ack> LT 0]
 {refused}

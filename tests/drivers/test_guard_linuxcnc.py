@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import subprocess
 from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -314,10 +315,63 @@ async def test_a_block_left_half_written_expires_into_no_mode_in_which_a_whole_o
         assert (await mill.linuxcnc.position_mm())[0] == pytest.approx(-50.0, abs=1e-7) and stood_mm == 0.0
 
 
+REQUEST = {"counter": 517, "kind": 518, "axis": 519, "value_mm": 520, "acknowledge": 508}
+PASSED = f"""G21 G90 G40 G80 G54
+G0 X0 Y0 Z{WORK_MM}
+o<toolpoint> call [2] [1] [0]
+o<toolpoint> call [1]
+o<toolpoint> call [1]
+G0 Z{WORK_MM + 30}
+G0 Z{WORK_MM + 40}
+G4 P0.2
+M2
+"""
+
+
+@pytest.mark.parametrize("stands_mm", [WORK_MM + 15, WORK_MM])
+async def test_a_run_from_line_behind_them_asks_nothing_and_hides_nothing_that_is_applied(stands_mm: float) -> None:
+    """Where the axes stand as the program takes them to be, nothing tells LinuxCNC's program that it is passed."""
+    async with started(request=REQUEST, request_timeout_s=0.5, on_timeout="continue") as mill:
+        linuxcnc, told = mill.linuxcnc, Pins.of(config(request=REQUEST)).outputs
+        await linuxcnc.mdi("o<toolpoint> call [5]")
+        await mill.write({"Z": 2.0})
+        assert await mill.guard() is GuardStatus.APPLIED
+        await mill.write({"Z": -20.0})
+        part = linuxcnc.directory / "o1000.ngc"
+        part.write_text(PASSED, encoding="ascii")
+        await linuxcnc.mdi(f"G0 X0 Y0 Z{stands_mm}")
+        stood_mm = (await linuxcnc.position_mm())[2] - stands_mm
+        assert stood_mm == pytest.approx(0.002, abs=1e-7)
+        await linuxcnc.do(["mode", "MODE_AUTO"], ["wait"], ["program_open", str(part)], ["wait"])
+        await linuxcnc.do(["auto", "AUTO_RUN", 7], ["pass"])
+        moved_mm = (await linuxcnc.position_mm())[2] - (WORK_MM + 40)
+        pins = [float(linuxcnc.halcmd("getp", f"motion.analog-out-{told[n]:02d}")) for n in (512, 517, 518)]
+        assert pins[0] == pytest.approx(moved_mm, abs=1e-7), "the echo says what is applied"
+        if stands_mm != WORK_MM:
+            assert moved_mm == pytest.approx(stood_mm, abs=1e-7) and pins[1:] == [0.0, 0.0]
+            assert "TOOLPOINT PASSED IN RUN FROM LINE" in (await linuxcnc.do(["messages"]))[0]
+        await linuxcnc.do(["auto", "AUTO_RUN", 0], ["pass"])
+        assert float(linuxcnc.halcmd("getp", f"motion.analog-out-{told[517]:02d}")) == pins[1] + 1.0, (
+            "run whole it asks"
+        )
+
+
+async def test_a_preview_of_a_program_that_asks_ends(tmp_path: Path) -> None:
+    """As the screens of LinuxCNC show a program when it is loaded: by an interpreter to which nobody answers."""
+    (tmp_path / "toolpoint.ngc").write_text(linuxcnc_text(config(request=REQUEST), AXES), encoding="ascii")
+    (tmp_path / "part.ngc").write_text(PASSED, encoding="ascii")
+    (tmp_path / "mill.tbl").write_text("T1 P1 Z0 D1\n", encoding="ascii")
+    (tmp_path / "mill.var").touch()
+    ini = "[RS274NGC]\nSUBROUTINE_PATH = .\n[TRAJ]\nLINEAR_UNITS = mm\nCOORDINATES = X Y Z\n"
+    (tmp_path / "mill.ini").write_text(ini, encoding="ascii")
+    command = ["rs274", "-g", "-i", "mill.ini", "-t", "mill.tbl", "-v", "mill.var", "part.ngc"]
+    shown = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=20, check=True).stdout
+    assert shown.count("STRAIGHT_TRAVERSE") == 3 and "PROGRAM_END" in shown
+
+
 async def test_a_request_without_its_number_is_none() -> None:
-    request = {"counter": 517, "kind": 518, "axis": 519, "value_mm": 520, "acknowledge": 508}
-    pin = f"motion.analog-out-{Pins.of(config(request=request)).outputs[517]:02d}"
-    async with started(request=request, request_timeout_s=1.0, on_timeout="continue") as mill:
+    pin = f"motion.analog-out-{Pins.of(config(request=REQUEST)).outputs[517]:02d}"
+    async with started(request=REQUEST, request_timeout_s=1.0, on_timeout="continue") as mill:
         await mill.linuxcnc.mdi("o<toolpoint> call [5]", "M61 Q1")
         taken = 0
         for numbers, asks in {
