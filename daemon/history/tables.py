@@ -11,13 +11,14 @@ from daemon.history.columns.codec import FloatArray, IntArray
 from daemon.history.columns.frames import ColumnType, Frame, Kind, MappingColumn
 from daemon.history.columns.kinds import KINDS, TEMPERATURES
 from daemon.history.reader import HistoryReader
-from daemon.history.series import NOT_IN_CYCLE, TemperatureHistory
+from daemon.history.series import NOT_IN_CYCLE, EventRecord, TemperatureHistory
 from models.quality import Quality, Reason
 from models.records import WriteOutcome
 
 WINDOW_S = 3600.0
 """Tables are read and written in pieces of this length."""
 FLAGS = frozenset({"alarm", "in_domain"})
+EVENTS = "events"
 SKIPPED = frozenset({"monotonic_ms"})
 KEY_NAMES = {
     "um": "{}_um",
@@ -74,7 +75,7 @@ class Table:
         self._sensor_ids = reader.sensor_ids() if sensor_ids is None else tuple(sensor_ids)
         self._quality = quality
         self._windows = _windows(reader.extent(what), from_utc_s, to_utc_s)
-        self._keys = {} if what == TEMPERATURES else self._mapping_keys(KINDS[what])
+        self._keys = self._mapping_keys(KINDS[what]) if what in KINDS else {}
         self.columns = tuple(column for column, _ in self._read(0.0, 0.0))
 
     @property
@@ -90,6 +91,8 @@ class Table:
         if self.what == TEMPERATURES:
             history = self._reader.temperatures(self._sensor_ids, from_s, to_s)
             return _temperature_columns(history, self._quality)
+        if self.what == EVENTS:
+            return _event_columns(self._reader.events(from_s, to_s))
         return _frame_columns(KINDS[self.what], self._reader.frame(KINDS[self.what], from_s, to_s), self._keys)
 
     def _mapping_keys(self, kind: Kind) -> dict[str, list[str]]:
@@ -105,6 +108,12 @@ class Table:
         if "reasons" in keys:
             keys["reasons"] = keys["um"]
         return {name: list(found) for name, found in keys.items()}
+
+
+def _event_columns(events: Sequence[EventRecord]) -> Iterator[tuple[TableColumn, Values]]:
+    yield from _clock_columns(np.array([round(1e3 * event.time_s) for event in events], dtype=np.int64))
+    for name in ("kind", "text", "person"):
+        yield _column(name, TableType.TEXT), [getattr(event, name) for event in events]
 
 
 def _windows(extent: tuple[float, float] | None, from_s: float, to_s: float) -> list[tuple[float, float]]:

@@ -18,7 +18,7 @@ from config.schema import Configuration
 from daemon.history.columns.kinds import TEMPERATURES, WRITES
 from daemon.history.export import Tabular, write_csv, write_parquet
 from daemon.history.reader import HistoryReader
-from daemon.history.tables import Table, TableColumn, TableType, Values
+from daemon.history.tables import EVENTS, Table, TableColumn, TableType, Values
 from daemon.model_release.past_recordings import (
     MINUTE_S,
     Minutes,
@@ -33,7 +33,7 @@ from models.recordings.dataset import DatasetError
 NICENESS = 15
 REFUSED = 3
 """Exit status when there is nothing to export."""
-TABLES = {"temperatures": TEMPERATURES, "writes": WRITES.name}
+TABLES = {"temperatures": TEMPERATURES, "writes": WRITES.name, "events": EVENTS}
 """What can be asked for beside recordings -> kind of record."""
 
 

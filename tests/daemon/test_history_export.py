@@ -169,6 +169,13 @@ class TestExport:
         assert words in result.stderr
         assert result.stdout == ""
 
+    def test_events_say_when_what_and_who(self, store: Path) -> None:
+        rows = exported(store, "events")
+        assert len(rows) == 12
+        assert list(rows[0]) == ["time_utc", "utc_s", "kind", "text", "person"]
+        assert (rows[3]["kind"], rows[3]["text"], rows[3]["person"]) == ("state", "[bold] 3", "somebody")
+        assert rows[3]["time_utc"] > rows[2]["time_utc"] > "2025-10-09T09"
+
     def test_absent_store(self, tmp_path: Path) -> None:
         store = tmp_path / "absent.sqlite"
         result = run("export", "--store", store, "--what", "cnc", "--from", FROM, "-o", "-")
@@ -185,7 +192,7 @@ class TestParquet:
         assert "install toolpoint[parquet], or choose --format csv" in result.stderr
         assert list(tmp_path.iterdir()) == []
 
-    @pytest.mark.parametrize("what", ["temperatures", "displacements", "cnc", "estimates", "writes"])
+    @pytest.mark.parametrize("what", ["temperatures", "displacements", "cnc", "estimates", "writes", "events"])
     def test_same_content_as_csv(self, store: Path, tmp_path: Path, what: str) -> None:
         parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
         path = tmp_path / "t.parquet"

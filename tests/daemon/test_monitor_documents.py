@@ -134,7 +134,7 @@ async def test_what_happened_is_listed_newest_first_by_kind_text_and_person(benc
     assert none == {"events": [], "kinds": {}, "more": False}
 
 
-@pytest.mark.parametrize("what", ["temperatures", "writes"])
+@pytest.mark.parametrize("what", ["temperatures", "writes", "events"])
 async def test_records_are_downloaded_as_csv_and_parquet(bench, what):
     browser = bench.browser()
     asked = f"/api/v1/export?what={what}&from={EPOCH_S}&to={EPOCH_S + 5000}"

@@ -28,13 +28,13 @@ from daemon.cli.options import ProgressBar, json_option
 from daemon.history import HistoryReader
 from daemon.history.columns.kinds import TEMPERATURES
 from daemon.history.reader import TABLES
-from daemon.history.tables import Table
+from daemon.history.tables import EVENTS, Table
 from models.json_values import plain
 from models.records import ProbeSample
 
 KINDS_SHOWN = ("summary", "writes", "events", "probes", "estimates", "cnc")
 RECORDING = "recording"
-KINDS_EXPORTED = (TEMPERATURES, "displacements", "cnc", "estimates", "writes", RECORDING)
+KINDS_EXPORTED = (TEMPERATURES, "displacements", "cnc", "estimates", "writes", EVENTS, RECORDING)
 FORMATS = ("csv", "parquet")
 store_option = option("--store", type=FILE, help="The store's file (else the configuration's history.path).")
 

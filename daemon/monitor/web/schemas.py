@@ -477,6 +477,7 @@ class ExportWhat(StrEnum):
     RECORDING = "recording"
     TEMPERATURES = "temperatures"
     WRITES = "writes"
+    EVENTS = "events"
 
 
 class ExportFormat(StrEnum):

@@ -89,8 +89,8 @@ class History {
   }
 
   offer(from, to) {
-    const link = (what, words, format) => h("a", { class: "download", href: `/api/v1/export?what=${what}&format=${format}&from=${from.toFixed(3)}&to=${to.toFixed(3)}`, target: "_blank" }, `${words} (${format === "csv" ? "CSV" : "Parquet"})`);
-    this.downloads.replaceChildren(...[["writes", "writes"], ["recording", "recording"], ["temperatures", "temperatures"]].flatMap(([what, words]) => ["csv", "parquet"].map((format) => link(what, words, format))));
+    const link = (what, format) => h("a", { class: "download", href: `/api/v1/export?what=${what}&format=${format}&from=${from.toFixed(3)}&to=${to.toFixed(3)}`, target: "_blank" }, `${what} (${format === "csv" ? "CSV" : "Parquet"})`);
+    this.downloads.replaceChildren(...["events", "writes", "recording", "temperatures"].flatMap((what) => ["csv", "parquet"].map((format) => link(what, format))));
   }
 }
 
