@@ -288,8 +288,8 @@ def _unit(said: str, name: str, step: float, notes: list[str]) -> str:
         return "d"
     if not re.search(r"\bs(e[ck]|econds?)?\b|_s\b|sekunden?", said):
         notes.append(
-            f"{name!r} is taken to be in seconds, a row every {step:g} s; its name does not say so: where that is "
-            "wrong, say time_unit: min, h or d"
+            f"{name!r} is taken to be in seconds{f', a row every {step:g} s' if step else ''}; its name does not say "
+            "so: where that is wrong, say time_unit: min, h or d"
         )
     return "s"
 

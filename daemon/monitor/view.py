@@ -171,9 +171,9 @@ def _permitted(output: Mapping[str, Any]) -> Text | None:
     """Return what the configuration permits that a real machine should not have."""
     words = []
     if output["insecure_writes"]:
-        words.append("writes go over an insecure connection (allow_insecure_writes)")
+        words.append("insecure connection; not for a real machine: allow_insecure_writes")
     if output["writable_model_directory"]:
-        words.append("any model is loaded, released or not (allow_writable_model_directory)")
+        words.append("any model is loaded; not for a real machine: allow_writable_model_directory")
     return Text("\n".join(words), style="yellow") if words else None
 
 

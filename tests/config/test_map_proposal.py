@@ -76,6 +76,11 @@ def test_the_unit_of_the_time_is_what_its_name_says(name: str, unit: str) -> Non
     assert (found.keys["time"], found.keys["time_unit"], found.notes) == (name, unit, ())
 
 
+@pytest.mark.parametrize(("times", "said"), [(("0", "1"), "seconds, a row every 1 s; its"), (("0",), "seconds; its")])
+def test_a_time_without_a_unit_is_questioned(times: tuple[str, ...], said: str) -> None:
+    assert said in propose_map(["time", "T1", "X_um"], rows(*times, fields=3)).notes[0]
+
+
 def test_temperatures_in_fahrenheit_and_kelvin_say_so_and_rises_in_kelvin_are_rises() -> None:
     header = ["time_s", "Oil [°F]", "Air (K)", "Rise [K]", "dz [um]"]
     found = propose_map(header, [["0", "68", "293.1", "0.0", "0"], ["60", "70", "293.4", "0.4", "1"]])

@@ -78,7 +78,7 @@ def test_what_matters_is_on_the_screen():
     for words in (
         *("HOLD", "temperatures are stale", "held for 400 s", "cutting", "insecure connection", "O1000 N100"),
         "tools set: T2, T17",
-        *("nobody has released this model", "allow_writable_model_directory"),
+        *("nobody has released this model", "not for a real machine: allow_writable_model_directory"),
         *("-12.3", "+12.3", "no model for this axis", "300 of 302", "sensor 17", "ALARM", "9 of 10"),
         *("> 20 s", "1.2 s", "24.7 s", "latsis spindle", "no such port", "5 line cycles, 1 incomplete", "the footer"),
     ):
