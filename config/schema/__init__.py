@@ -167,9 +167,16 @@ class Configuration(Section):
             )
         macros = self.cnc.macros
         for key in ("positioning_counter", "tool_counter"):
-            if (number := getattr(reference, key)) in {*macros.block, *macros.allowed}:
+            if (number := getattr(reference, key)) is None:
+                continue
+            if number in {*macros.block, *macros.allowed}:
                 sentence = f"#{number} is one of the daemon's own macros; only the NC program may write it"
                 yield (("compensation", "reference", key), sentence)
+            elif self.cnc.driver == "linuxcnc":
+                sentence = (
+                    f"#{number} has no pin of LinuxCNC, so it would never count: let the program ask and name its "
+                )
+                yield (("compensation", "reference", key), sentence + "tools by the handshake (cnc.macros.request)")
 
     def _numbers_of_the_guard(self) -> Iterator[tuple[KeyPath, str]]:
         """Yield which N numbers with a meaning also occur in the NC programs that `toolpoint guard` prints."""

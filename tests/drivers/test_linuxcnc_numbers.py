@@ -1,9 +1,12 @@
 """Numbers that LinuxCNC does not have itself: of programs, of work offsets, of pins; and whose guard its text is."""
 
+from pathlib import Path
+
 import pytest
 from pydantic import ValidationError
-from scripted_machine import cnc_config
+from scripted_machine import cnc_config, configuration
 
+from config.schema import Configuration
 from config.schema.compensation import AxisConfig
 from drivers.guard.linuxcnc import linuxcnc_text
 from drivers.guard.programs import guard_text
@@ -39,3 +42,14 @@ def test_the_guard_of_linuxcnc_is_for_linuxcnc_and_no_other_is() -> None:
     numbered = cnc_config(linuxcnc={}, guard={"axes": {"Z": {"letter": "W", "number": 4}}, "dialect": "linuxcnc"})
     with pytest.raises(GuardTextError, match=r"axes\.Z\.number: axis W of LinuxCNC is 9, not 4"):
         linuxcnc_text(numbered, axes)
+
+
+@pytest.mark.parametrize("key", ["tool_counter", "positioning_counter"])
+def test_a_counter_that_has_no_pin_is_refused_and_not_silently_never_counted(tmp_path: Path, key: str) -> None:
+    plain = configuration(tmp_path)
+    counting = {"reference": {key: 561}}
+    compensation = plain.compensation.model_dump(exclude_none=True) | counting
+    said = plain.model_dump(exclude_none=True) | {"compensation": compensation}
+    Configuration.model_validate(said)
+    with pytest.raises(ValidationError, match=r"#561 has no pin of LinuxCNC.*handshake"):
+        Configuration.model_validate(said | {"cnc": cnc_config(linuxcnc={}).model_dump(exclude_none=True)})
