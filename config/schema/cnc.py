@@ -202,6 +202,7 @@ class TemperatureMacroConfig(Section):
     )
 
 
+MOST_UM_OF_HAAS = 1000.0
 SPEED = "spindle speed"
 _PLACE = ("driver", "preset", "namespace_uri", "path", "device")
 OF_SPEED = (*_PLACE, "spindle_speed", "spindle_speed_macro", "spindle_speed_item")
@@ -302,6 +303,13 @@ class CncConfig(CncDriverConfig):
             raise KeyProblems([(("guard", "dialect"), f"{sentence} language")])
         if self.guard.watch_offset and (wanted != "fanuc" or self.driver == "mtconnect"):
             raise KeyProblems([(("guard", "watch_offset"), "this control's offset is no system variable #5201..")])
+        if self.driver == "haas" and self.macros.unit_um > MOST_UM_OF_HAAS:
+            sentence = (
+                f"at most {MOST_UM_OF_HAAS:g} (mm): a Haas takes six decimals, and with larger units, as inches, "
+            )
+            raise KeyProblems(
+                [(("macros", "unit_um"), sentence + "no value is whole nanometres, so no check ever fits")]
+            )
         return self
 
     @model_validator(mode="after")

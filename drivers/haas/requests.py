@@ -12,8 +12,7 @@ from drivers.haas.codec import Answer
 from models.records import CncMode, CncRun
 
 TIED_OFFSET = 154
-"""G154 takes its offset from a word P."""
-OFFSET_P = 4116
+"""G154 takes its offset from a word P; #4116 holds the latest P of any block, such as G04's."""
 MACHINE_POSITION = 5020
 """#5021 .. hold the machine positions of axis 1 .., in the unit of the control."""
 MOST_AXES = 6
@@ -89,7 +88,7 @@ class StateVariables:
     def marks(self) -> tuple[int, ...]:
         """Those that tell where the program is."""
         optional = [number for name, number in self._optional.items() if name not in self.cannot]
-        return (self.offset, OFFSET_P, self.tool, *(number for number in optional if number != self.speed))
+        return (self.offset, self.tool, *(number for number in optional if number != self.speed))
 
     def judge(self, values: Mapping[int, float | None]) -> None:
         """Leave out, from the first values, what is vacant."""
@@ -120,8 +119,6 @@ class StateVariables:
         return math.nan if value is None else value
 
     def work_offset(self, values: Mapping[int, float | None]) -> int:
-        """Return 54 to 59, 110 to 129, or 154000 + P; 0 where the control does not say."""
-        code, tied = values[self.offset], values[OFFSET_P]
-        if code is None:
-            return 0
-        return TIED_OFFSET * 1000 + round(tied or 0.0) if round(code) == TIED_OFFSET else round(code)
+        """Return 54 to 59 or 110 to 129; 0 where the control does not say, as of G154, whose P no variable tells."""
+        code = values[self.offset] or 0.0
+        return int(code) if code.is_integer() and code != TIED_OFFSET else 0

@@ -41,9 +41,11 @@ from models.control.reference_records import (
     ToolOrigin,
 )
 from models.control.state import OutputMemory
-from models.records import CncRun, CncSample, Reference
+from models.records import CncMode, CncRun, CncSample, Reference
 from models.thermal.mean_increment import Fading
 
+BY_NUMBER = (CncMode.MEMORY, CncMode.REMOTE)
+"""Modes in which there is a program, and a number of it."""
 SWITCHED_OFF = "the CNC was switched off and on"
 CLOCK_WENT_BACK = "the CNC's clock went back: it was switched off and on"
 
@@ -259,6 +261,10 @@ def end_of_reference(reference: Reference, sample: CncSample) -> str:
     """Return why a reference no longer holds by what it is bound to, '' while it does."""
     if sample.power_on_count != reference.power_on_count:
         return SWITCHED_OFF
+    if sample.work_offset == 0:
+        return "the control does not say which work offset is active"
+    if sample.program == 0 and sample.mode in BY_NUMBER:
+        return "the control does not say which program runs: give it an O number, not a name"
     if sample.work_offset != reference.work_offset:
         return f"the work offset changed from {reference.work_offset} to {sample.work_offset}"
     if sample.program != reference.program:

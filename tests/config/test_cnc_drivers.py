@@ -5,11 +5,12 @@ from typing import ClassVar, Literal
 
 import jsonschema
 import pytest
-from pydantic import Field
+from pydantic import Field, ValidationError
 from scripted_machine import cnc_config
 
 from config.loader import ConfigurationError, parse_yaml_model
 from config.schema.base import drivers_of
+from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import CncConnection, CncDriverConfig, OpcUaConfig
 
 OPCUA = "opcua:\n  endpoint: opc.tcp://192.0.2.1:4840/cnc\n  namespace_uri: urn:cnc\n"
@@ -115,3 +116,17 @@ def test_every_section_names_its_driver() -> None:
     for model in (CncDriverConfig, TwoDrivers):
         for driver in drivers_of(model):
             assert driver in model.model_fields
+
+
+def test_values_in_inches_do_not_fit_the_six_decimals_of_a_haas_and_are_refused() -> None:
+    macros = cnc_config(focas={"host": "x"}).macros.model_dump(exclude_none=True)
+    assert all(round(nm / 1e6, 6) * 1e6 == pytest.approx(nm, abs=1e-6) for nm in range(0, 30_000, 77))
+    inches = [round(nm / 25.4e6, 6) * 25.4e6 for nm in range(77, 30_000, 77)]
+    assert not all(abs(nm - round(nm / 77) * 77) < 0.5 for nm in inches), "the guard would make another check"
+    for driver, refused in {"focas": False, "haas": True}.items():
+        said = {"driver": driver, driver: {"host": "x"}, "macros": macros | {"unit_um": 25_400.0}}
+        if refused:
+            with pytest.raises(ValidationError, match=r"at most 1000 \(mm\): a Haas takes six decimals"):
+                CncConfig.model_validate(said)
+        else:
+            CncConfig.model_validate(said)

@@ -54,7 +54,7 @@ async def test_a_control_that_counts_in_inches_and_does_not_say_so_is_told_by_th
 
 
 def test_a_haas_says_its_unit_and_gives_no_position_while_it_does_not() -> None:
-    numbers = {4012: 54.0, 4116: 0.0, 3026: 1.0, 4114: 5.0, 4115: 1000.0, 3027: 0.0}
+    numbers = {4012: 54.0, 3026: 1.0, 4114: 5.0, 4115: 1000.0, 3027: 0.0}
     for code, expected in ((20.0, 254.0), (21.0, 10.0), (None, math.nan), (0.0, math.nan)):
         state = StateVariables(HaasConfig(host="h"), {"Z_mm": axis(unit="inch")})
         values = numbers | {5023: 10.0, 4006: code}

@@ -169,6 +169,14 @@ async def test_what_a_control_leaves_vacant_is_said_with_its_reason(control: Con
         await control.connected(haas={"tool_macro": 99}, timeout_s=0.3)
 
 
+async def test_a_work_offset_whose_number_no_variable_tells_is_none(control: Control) -> None:
+    cnc = await control.connected()
+    for code, told in {59: 59, 110: 110, 129: 129, 154: 0, 154.5: 0}.items():
+        control.nc.work_offset = code  # type: ignore[assignment]
+        assert (await cnc.read([])).work_offset == told, "#4116 holds the P of G154, and of the G04 or G65 after it"
+    await cnc.close()
+
+
 async def test_a_power_on_ends_the_link_and_a_clock_that_goes_back_too(control: Control) -> None:
     cnc = await control.connected()
     before = await cnc.read([])

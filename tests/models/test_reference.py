@@ -136,6 +136,8 @@ def test_asked_for_in_force_ended_and_kept():
     [
         ({"program": 2000}, "the program changed from O1000 to O2000", ENDED),
         ({"work_offset": 55}, "the work offset changed from 54 to 55", ENDED),
+        ({"work_offset": 0}, "the control does not say which work offset is active", ENDED),
+        ({"program": 0}, "the control does not say which program runs: give it an O number", ENDED),
         ({"power_on_count": 4}, "switched off and on", NONE),
         ({"clock_s": 5.0}, "clock went back", NONE),
     ],
@@ -143,6 +145,18 @@ def test_asked_for_in_force_ended_and_kept():
 def test_what_a_reference_is_bound_to_ends_it(change, words, state):
     memory, effects = polled(in_force(), sample(10.5, **change))
     assert memory.state is state and words in memory.ended and words in said(effects)[0]
+
+
+@pytest.mark.parametrize("unsaid", [{"work_offset": 0}, {"program": 0}])
+def test_no_reference_comes_into_force_for_a_work_or_a_program_that_the_control_does_not_name(unsaid):
+    """Two of them have the same number, so a change from the one to the other would end nothing."""
+    memory, question = asked_for(polled(ReferenceMemory(), sample(**unsaid))[0])
+    memory, _ = reference.adopt(memory, answered(question), RULES, still_applied_um=0.0)
+    assert memory.in_force is None and "the control does not say which" in memory.ended
+    by_hand = sample(**unsaid, mode=CncMode.MDI)
+    memory, question = asked_for(polled(ReferenceMemory(), by_hand)[0])
+    memory, _ = reference.adopt(memory, answered(question), RULES, still_applied_um=0.0)
+    assert (memory.in_force is not None) is ("program" in unsaid), "in MDI there is no program"
 
 
 def test_a_refused_positioning_leaves_the_work_without_a_reference_and_a_refused_hand_does_not():

@@ -8,7 +8,7 @@ from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import HaasConfig
 from drivers.haas.cnc import SIMULATED_SERIAL_NUMBER
 from drivers.haas.codec import DECIMALS, HaasFormatError, LineBuffer, Query, Write, encode_fields, parse_request
-from drivers.haas.requests import MACHINE_POSITION, METRIC, MOST_AXES, OFFSET_P, UNIT_CODE
+from drivers.haas.requests import MACHINE_POSITION, METRIC, MOST_AXES, UNIT_CODE
 from drivers.sim.contract import SimulatedNc
 from drivers.sim.wires.listener import HOST, Listener
 from drivers.sim.wires.system_variables import system_variable
@@ -36,7 +36,6 @@ class HaasResponder:
             config.work_offset_macro: lambda: nc.work_offset,
             config.tool_macro: lambda: nc.tool_number,
             config.spindle_speed_macro: lambda: nc.spindle_speed_rpm,
-            OFFSET_P: lambda: 0.0,
             UNIT_CODE: lambda: METRIC,
         }
         for place in range(1, MOST_AXES + 1):
