@@ -267,6 +267,18 @@ class TestHistory:
         if what == "cnc":
             assert all("#600=" in line and "#601=" in line for line in times)
 
+    def test_in_a_pipe_one_long_event_makes_no_other_line_longer(self, tmp_path: Path) -> None:
+        long, short = "word " * 90, "OFF -> ARMED: switched on"
+        with_events = HistoryWriter(tmp_path / "history.sqlite", clock=StillClock(time.time()), machine=SMALL)
+        with_events.start()
+        for text in (short, long.strip(), short):
+            with_events.event("state", text, None)
+        with_events.close()
+        lines = run("history", "--store", tmp_path / "history.sqlite", "events").stdout.splitlines()
+        of_records = [line for line in lines if "state" in line]
+        assert [long.strip() in line for line in of_records] == [False, True, False]
+        assert max(len(line) for line in of_records if short in line) <= 80
+
     @pytest.mark.parametrize("what", ["writes", "estimates", "cnc", "events"])
     def test_at_80_columns_every_word_is_whole(
         self, recent: Path, what: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

@@ -45,9 +45,9 @@ def view(reader: HistoryReader, what: str, from_utc_s: float) -> View:
 
 
 def print_rows(title: str, headings: tuple[str, ...], rows: list[tuple[Cell, ...]]) -> None:
-    """Print a table as wide as it needs to be; on a terminal that is narrower, each record over several lines.
+    """Print a table where it fits; else each record over several lines of a terminal, or in one line of a pipe.
 
-    Nothing is ever cut: who reads it in a pipe gets one line a record.
+    Nothing is ever cut, and no record is as wide as the widest.
     """
     from rich.console import Console
     from rich.measure import Measurement
@@ -60,13 +60,12 @@ def print_rows(title: str, headings: tuple[str, ...], rows: list[tuple[Cell, ...
         table.add_row(*row)
     console = Console()
     needed = Measurement.get(console, console.options.update(max_width=WIDEST), table).maximum
-    if needed <= console.width or not console.is_terminal:
-        console.width = max(needed, console.width)
+    if needed <= console.width:
         console.print(table)
         return
     console.print(title, style="italic", markup=False)
     for row in texts:
-        console.print(_record(headings, row, console.width), soft_wrap=True)
+        console.print(_record(headings, row, console.width if console.is_terminal else WIDEST), soft_wrap=True)
 
 
 def _record(headings: tuple[str, ...], cells: "list[Text]", width: int) -> "Text":
