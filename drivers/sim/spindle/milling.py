@@ -101,69 +101,61 @@ def mill(cuts: MillingCuts, passings: int, steps_per_passing: int = 400) -> Iter
     change = force[:, axis] / mass
     to_axes = np.eye(2)[axis]
     lead_s = np.zeros_like(angular) if cuts.mode_lead_s is None else cuts.mode_lead_s
+    half_step_s, half_step_s2, ahead_s, stiffness = 0.5 * step_s, 0.5 * step_s**2, step_s + lead_s, angular**2
+    slowed = 1.0 + half_step_s * drag
     for step in range(1, passings * steps_per_passing + 1):
-        place = place + step_s * speed + 0.5 * step_s**2 * change
+        place = place + step_s * speed + half_step_s2 * change
         moved = (place + lead_s * (speed + step_s * change)) @ to_axes
-        force = edges.force(step, moved, (speed + (step_s + lead_s) * change) @ to_axes)
-        push = force[:, axis] / mass - angular**2 * place
-        speed = (speed + 0.5 * step_s * (change + push)) / (1.0 + 0.5 * step_s * drag)
+        force = edges.force(step, moved, (speed + ahead_s * change) @ to_axes)
+        push = force[:, axis] / mass - stiffness * place
+        speed = (speed + half_step_s * (change + push)) / slowed
         change = push - drag * speed
         yield MillingSample(displacement_m=moved, acceleration_m_s2=change @ to_axes, force_n=force)
 
 
 class _Edges:
-    """The cutting edges over stations around the tool, and the surface that each station carries."""
+    """The cutting edges over stations around the tool, and the surface that each station carries.
+
+    Tables have the shape (stations, n_cuts, slices): in the row of an edge's tip, a slice finds the station where it
+    stands, behind the tip by its lag.
+    """
 
     def __init__(self, cuts: MillingCuts, steps_per_passing: int) -> None:
         self._around = cuts.teeth * steps_per_passing
         width = 2.0 * np.pi / self._around
-        stations = np.pi / 2.0 - width * np.arange(self._around)
-        bearing = np.mod(stations + np.pi, 2.0 * np.pi) - np.pi
-        self._cosine, self._sine = np.cos(bearing), np.sin(bearing)
+        lag = np.zeros(len(cuts.speed_rpm)) if cuts.helix_lag_rad is None else cuts.helix_lag_rad
+        middles = (np.arange(cuts.slices) + 0.5) / cuts.slices if cuts.helix_lag_rad is not None else np.zeros(1)
+        station = (np.arange(self._around)[:, None, None] - np.rint(lag[:, None] * middles / width)) % self._around
+        bearing = np.mod(1.5 * np.pi - width * station, 2.0 * np.pi) - np.pi
         before = (cuts.first_bearing_rad[:, None] - bearing) / width + 0.5
         behind = (bearing - cuts.last_bearing_rad[:, None]) / width + 0.5
         self._share = np.clip(before, 0.0, 1.0) * np.clip(behind, 0.0, 1.0)
-        self._fed = cuts.feed_per_tooth_m[:, None] * self._cosine
-        self._surface = np.repeat(-self._fed[:, None, :], cuts.slices, axis=1)
-        lag = np.zeros(len(cuts.speed_rpm)) if cuts.helix_lag_rad is None else cuts.helix_lag_rad
-        middles = (np.arange(cuts.slices) + 0.5) / cuts.slices if cuts.helix_lag_rad is not None else np.zeros(1)
-        self._lag = np.rint(lag[:, None] * middles / width).astype(np.intp)
-        cosine, sine = np.cos(cuts.feed_direction_rad), np.sin(cuts.feed_direction_rad)
-        self._turn = np.stack((np.stack((cosine, sine), -1), np.stack((-sine, cosine), -1)), axis=1)
+        self._fed = cuts.feed_per_tooth_m[:, None] * np.cos(bearing)
+        self._surface = -self._fed
+        bearing += cuts.feed_direction_rad[:, None]
+        self._cosine, self._sine = np.cos(bearing), np.sin(bearing)
         self._tangential = (cuts.tangential_n_per_m2 * cuts.axial_depth_m / cuts.slices)[:, None]
         self._radial = (cuts.radial_n_per_m2 * cuts.axial_depth_m / cuts.slices)[:, None]
-        self._rows = np.arange(len(cuts.speed_rpm))[:, None]
-        self._columns = np.arange(cuts.slices)[None, :]
         pitches = np.array(cuts.pitch_rad or (2.0 * np.pi / cuts.teeth,) * cuts.teeth)
-        self._ahead = np.rint(-np.concatenate(([0.0], np.cumsum(pitches)[:-1])) / width).astype(np.intp).tolist()
-        self._feeds = (pitches * cuts.teeth / (2.0 * np.pi)).tolist()
-        damping = np.zeros(len(cuts.speed_rpm)) if cuts.damping_n_s_per_m is None else cuts.damping_n_s_per_m
+        self._ahead = np.rint(-np.concatenate(([0.0], np.cumsum(pitches)[:-1])) / width).astype(np.intp)
+        self._feeds = (pitches * cuts.teeth / (2.0 * np.pi))[:, None, None]
         self._keeps_contact = cuts.keeps_contact
-        self._damping = (damping / cuts.slices)[:, None]
+        self._damping = None if cuts.damping_n_s_per_m is None else (cuts.damping_n_s_per_m / cuts.slices)[:, None]
 
     def force(self, step: int, displacement_m: FloatArray, speed_m_s: FloatArray) -> FloatArray:
         """Return the force on the tool in machine axes [N], and cut the surface, shapes (n_cuts, 2)."""
-        local = np.einsum("nij,nj->ni", self._turn, displacement_m)
-        moving = np.einsum("nij,nj->ni", self._turn, speed_m_s)
-        total = np.zeros_like(local)
-        for ahead, feed in zip(self._ahead, self._feeds, strict=True):
-            station = (step + ahead - self._lag) % self._around
-            cosine, sine = self._cosine[station], self._sine[station]
-            reach = local[:, :1] * cosine + local[:, 1:] * sine
-            left = self._surface[self._rows, self._columns, station]
-            chip = reach - left if self._keeps_contact else np.maximum(reach - left, 0.0)
-            share = self._share[self._rows, station]
-            cut = reach if self._keeps_contact else np.maximum(left, reach)
-            self._surface[self._rows, self._columns, station] = (
-                np.where(share > 0.0, cut, 0.0) - feed * self._fed[self._rows, station]
-            )
-            tangential, radial = self._tangential * share * chip, self._radial * share * chip
-            outwards = moving[:, :1] * cosine + moving[:, 1:] * sine
+        tips = (step + self._ahead) % self._around
+        cosine, sine, share, left = self._cosine[tips], self._sine[tips], self._share[tips], self._surface[tips]
+        reach = displacement_m[:, :1] * cosine + displacement_m[:, 1:] * sine
+        chip = reach - left if self._keeps_contact else np.maximum(reach - left, 0.0)
+        cut = reach if self._keeps_contact else np.maximum(left, reach)
+        self._surface[tips] = np.where(share > 0.0, cut, 0.0) - self._feeds * self._fed[tips]
+        tangential, radial = self._tangential * share * chip, self._radial * share * chip
+        if self._damping is not None:
+            outwards = speed_m_s[:, :1] * cosine + speed_m_s[:, 1:] * sine
             radial += self._damping * share * np.where((chip > 0.0) | self._keeps_contact, outwards, 0.0)
-            total[:, 0] += np.sum(-tangential * sine - radial * cosine, axis=1)
-            total[:, 1] += np.sum(tangential * cosine - radial * sine, axis=1)
-        force: FloatArray = np.einsum("nji,nj->ni", self._turn, total)
-        return force
+        along_x, along_y = -tangential * sine - radial * cosine, tangential * cosine - radial * sine
+        return np.stack((along_x.sum(axis=(0, 2)), along_y.sum(axis=(0, 2))), axis=1)
 
 
 def is_stable(cuts: MillingCuts, passings: int = 300, steps_per_passing: int = 400) -> np.ndarray:
