@@ -110,7 +110,7 @@ def held_out_metrics(
         for measured, estimated in zip(*held_out_um(inputs, rows & (fold == number), fit), strict=True):
             residual: FloatArray = measured - estimated
             if probe_min is not None:
-                times_min = inputs.period_min * np.arange(len(residual), dtype=np.float64)
+                times_min = inputs.step_min(rows) * np.arange(len(residual), dtype=np.float64)
                 residual = probed_residual_um(times_min, residual, probe_min)
             both = np.stack([measured, residual])
             squares += np.square(both).sum(axis=1)

@@ -86,10 +86,32 @@ def inner_folds(inputs: Inputs, rows: BoolArray, fewest_runs: int = FEWEST_CYCLE
 
 
 def fold_segments(inputs: Inputs, rows: BoolArray) -> list[IntArray]:
-    """Return the rows of a mask as stretches within one recording and without a hole, for referencing each."""
+    """Return the rows of a mask as stretches within one run and without a hole, for referencing each.
+
+    Rows between in which no displacement was measured are no hole: a probe measures now and then.
+    """
     chosen = np.flatnonzero(rows)
-    breaks = np.flatnonzero((np.diff(chosen) > 1) | (np.diff(inputs.run[chosen]) != 0)) + 1
+    place = np.cumsum(rows | np.isfinite(inputs.measured_um).any(axis=1))[chosen]
+    breaks = np.flatnonzero((np.diff(place) > 1) | (np.diff(inputs.run[chosen]) != 0)) + 1
     return [part for part in np.split(chosen, breaks) if len(part)]
+
+
+def with_unmeasured(inputs: Inputs, rows: BoolArray, fold: IntArray) -> tuple[BoolArray, IntArray]:
+    """Return some rows with those between two of them in which only displacements are missing, and their folds.
+
+    What is learned of temperatures alone needs the rows between two probes as well.
+
+    `inputs`: the recordings. `rows`, shape (n,): training rows. `fold`, shape (n,): their folds; a row between takes
+    that of the row before it.
+    """
+    found, folds = rows.copy(), fold.copy()
+    known = ~inputs.long_missing.any(axis=1) & ~inputs.speed_missing & ~np.isfinite(inputs.measured_um).all(axis=1)
+    for part in fold_segments(inputs, rows):
+        between = np.arange(part[0], part[-1] + 1)
+        before = part[np.searchsorted(part, between, side="right") - 1]
+        found[between] |= known[between]
+        folds[between] = fold[before]
+    return found, folds
 
 
 def few_folds_factor(folds: int) -> float:

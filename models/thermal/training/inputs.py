@@ -71,7 +71,11 @@ class Inputs:
     @property
     def period_min(self) -> float:
         """Median time between rows [min]."""
-        steps = np.diff(self.time_min)[np.diff(self.recording) == 0]
+        return self.step_min(np.ones(self.rows, dtype=np.bool_))
+
+    def step_min(self, rows: BoolArray) -> float:
+        """Median time between some rows of a recording [min]; `rows`, shape (n,)."""
+        steps = np.diff(self.time_min[rows])[np.diff(self.recording[rows]) == 0]
         return float(np.median(steps)) if len(steps) else float("nan")
 
     def rows_between(self, from_hours: float, to_hours: float) -> BoolArray:

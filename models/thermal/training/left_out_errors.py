@@ -80,7 +80,7 @@ def left_out_errors(
         folds=np.array(folds, dtype=np.intp),
         measured_um=tuple(measured),
         residual_um=tuple(residual),
-        period_min=inputs.period_min,
+        period_min=inputs.step_min(rows),
         probe_min=probe_min,
     )
 

@@ -16,7 +16,8 @@ from models.thermal.training.recipes import Recipe
 from models.thermal.training.reversed_runs import reversed_runs, reversed_sentences
 
 LARGEST_INCOMPLETE_SHARE = 0.5
-"""When fewer training rows than this are complete, that is said instead of fitting the rest."""
+"""When fewer of the training rows in which any displacement was measured are complete, that is said instead of fitting
+the rest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -72,7 +73,8 @@ def prepare(
 
 def require_rows(inputs: Inputs, wanted: BoolArray, rows: BoolArray) -> None:
     """Raise DatasetError unless enough of the wanted rows are complete, naming the worst column."""
-    if rows.sum() > inputs.layout.sensors and rows.sum() >= LARGEST_INCOMPLETE_SHARE * wanted.sum():
+    measured = wanted & np.isfinite(inputs.measured_um).any(axis=1)
+    if rows.sum() > inputs.layout.sensors and rows.sum() >= LARGEST_INCOMPLETE_SHARE * measured.sum():
         return
     missing = (~np.isfinite(inputs.measured_um[wanted])).mean(axis=0)
     worst = int(np.argmax(missing))

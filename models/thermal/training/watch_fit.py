@@ -23,7 +23,7 @@ from models.thermal.sensor_watch import (
     departure_maps,
 )
 from models.thermal.training.families import fold_numbers
-from models.thermal.training.folds import few_folds_factor
+from models.thermal.training.folds import few_folds_factor, with_unmeasured
 from models.thermal.training.gaussian_process import inverse_of
 from models.thermal.training.inputs import Inputs, build_inputs
 
@@ -52,6 +52,7 @@ def fit_watch(recordings: Sequence[Recording], sample_s: float, rows: BoolArray,
     """
     best: tuple[float, Layout, float, FloatArray] | None = None
     inputs = build_inputs(recordings, sample_s=sample_s, lags_min=WATCH_LAGS_MIN, speed_lags_min=WATCH_LAGS_MIN)
+    rows, fold = with_unmeasured(inputs, rows, fold)
     whole = inputs.layout  # without the lagged speed, which comes last, the columns are the same
     for layout in dict.fromkeys((replace(whole, speed_lags_min=()), whole)):
         for penalty, largest_k in zip(PENALTIES, _left_out_departures_k(inputs, layout, rows, fold), strict=True):
