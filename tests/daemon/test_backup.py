@@ -26,13 +26,6 @@ from daemon.model_release.releasing import rollback
 EVER = (0.0, 1e11)
 
 
-@pytest.fixture
-def installation(tmp_path: Path) -> Installation:
-    made = Installation(tmp_path / "here")
-    made.fill()
-    return made
-
-
 def state_of(store: Path) -> dict[str, object]:
     with closing(sqlite3.connect(store)) as connection:
         return {key: json.loads(text) for key, text in connection.execute("SELECT key, json FROM state")}

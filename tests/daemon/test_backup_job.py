@@ -5,12 +5,9 @@ import json
 import os
 import threading
 import time
-from pathlib import Path
 
 import psutil
-import pytest
 from click.testing import CliRunner, Result
-from installation import Installation
 
 from config.loader import load_configuration
 from config.schema.service import BackupConfig
@@ -24,13 +21,6 @@ from daemon.housekeeping.jobs import BackupJob
 from drivers.clock import SystemClock
 
 EVER = (0.0, 1e11)
-
-
-@pytest.fixture
-def installation(tmp_path: Path) -> Installation:
-    made = Installation(tmp_path / "here")
-    made.fill()
-    return made
 
 
 async def test_the_daemon_makes_one_when_the_newest_is_too_old(installation):

@@ -3,8 +3,8 @@
 Thermal task, control task and the guard's text on the simulated SINUMERIK, whose Z takes an offset and a slope.
 """
 
-import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 
 import numpy as np
@@ -88,16 +88,14 @@ class Sloped(WholeLoop):
         assert self.state is OutputState.ACTIVE
 
 
-def played(directory: Path, first: ThermalModel, play: Callable[[Sloped], Awaitable[None]], *, slope: bool) -> None:
-    async def main() -> None:
-        loop = Sloped(directory, first, slope=slope)
-        await loop.start()
-        try:
-            await play(loop)
-        finally:
-            await loop.end()
-
-    asyncio.run(main())
+@asynccontextmanager
+async def playing(directory: Path, first: ThermalModel, *, slope: bool) -> AsyncIterator[Sloped]:
+    loop = Sloped(directory, first, slope=slope)
+    await loop.start()
+    try:
+        yield loop
+    finally:
+        await loop.end()
 
 
 RELEASES = pytest.mark.parametrize(
@@ -110,10 +108,10 @@ def z1_um_per_k(used: ThermalModel) -> float:
 
 
 @RELEASES
-def test_where_nothing_follows_the_slope_the_offset_goes_on_without_a_step(
+async def test_where_nothing_follows_the_slope_the_offset_goes_on_without_a_step(
     tmp_path: Path, first: ThermalModel, second: ThermalModel
 ) -> None:
-    async def play(loop: Sloped) -> None:
+    async with playing(tmp_path, first, slope=False) as loop:
         await loop.follows("z")
         before = loop.applied[-1]
         assert before == pytest.approx([-RISE_K * z1_um_per_k(first), 0.0], abs=ROUNDED_UM)
@@ -126,11 +124,11 @@ def test_where_nothing_follows_the_slope_the_offset_goes_on_without_a_step(
         await loop.moments(12)
         assert loop.applied[-1] - before == pytest.approx([-0.5 * z1_um_per_k(second), 0.0], abs=ROUNDED_UM)
 
-    played(tmp_path, first, play, slope=False)
 
-
-def test_an_axis_whose_slope_no_model_tells_any_more_holds_and_goes_on_from_where_it_stood(tmp_path: Path) -> None:
-    async def play(loop: Sloped) -> None:
+async def test_an_axis_whose_slope_no_model_tells_any_more_holds_and_goes_on_from_where_it_stood(
+    tmp_path: Path,
+) -> None:
+    async with playing(tmp_path, WITH, slope=True) as loop:
         await loop.follows("z", "z_slope")
         before = loop.applied[-1]
         assert before == pytest.approx([-RISE_K * 5.0, -RISE_K * 20.0], abs=ROUNDED_UM)
@@ -146,14 +144,12 @@ def test_an_axis_whose_slope_no_model_tells_any_more_holds_and_goes_on_from_wher
         await loop.moments(12)
         assert loop.applied[-1] - before == pytest.approx([-5.0, -10.0], abs=ROUNDED_UM)
 
-    played(tmp_path, WITH, play, slope=True)
-
 
 @RELEASES
-def test_a_restart_with_another_configuration_of_the_slope_moves_nothing(
+async def test_a_restart_with_another_configuration_of_the_slope_moves_nothing(
     tmp_path: Path, first: ThermalModel, second: ThermalModel
 ) -> None:
-    async def play(loop: Sloped) -> None:
+    async with playing(tmp_path, first, slope=first is WITH) as loop:
         await loop.follows("z", *(["z_slope"] if first is WITH else []))
         before = loop.applied[-1]
         await loop.rig.history.flushed()
@@ -178,5 +174,3 @@ def test_a_restart_with_another_configuration_of_the_slope_moves_nothing(
         await loop.moments(12)
         wanted = [-0.5 * z1_um_per_k(second), -10.0 if second is WITH else 0.0]
         assert loop.applied[-1] - before == pytest.approx(wanted, abs=ROUNDED_UM)
-
-    played(tmp_path, first, play, slope=first is WITH)

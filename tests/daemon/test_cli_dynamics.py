@@ -11,13 +11,6 @@ from dynamics_command import DIRECT, answer, call, nose, refusal, write_csv
 from config.machine.spindle import shipped_spindles, spindle_folder
 
 
-@pytest.fixture
-def spindle(tmp_path: Path) -> Path:
-    path = tmp_path / "spindle.yaml"
-    path.write_text(DIRECT)
-    return path
-
-
 def test_modes_on_bearings_and_free(spindle: Path, tmp_path: Path) -> None:
     held = answer("modes", spindle)
     free_file = tmp_path / "free.yaml"

@@ -7,14 +7,6 @@ import numpy as np
 import pytest
 from dynamics_command import DIRECT, STEEL, answer, call, nose, refusal, write_csv
 
-
-@pytest.fixture
-def spindle(tmp_path: Path) -> Path:
-    path = tmp_path / "spindle.yaml"
-    path.write_text(DIRECT)
-    return path
-
-
 BAD_FILES = {
     "zero length": (
         "length_mm: 15.1",

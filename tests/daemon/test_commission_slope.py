@@ -1,6 +1,5 @@
 """A slope is commissioned at two positions of its axis, on a simulated SINUMERIK over real OPC UA."""
 
-import asyncio
 import re
 from pathlib import Path
 from typing import Any
@@ -44,26 +43,23 @@ class Walking(Person):
         return await super().confirm(question)
 
 
-def test_a_slope_is_proved_by_what_two_positions_show(tmp_path: Path) -> None:
-    async def main() -> None:
-        async with serving(tmp_path, "sinumerik", SLOPE) as bench:
-            person = Walking(bench)
-            plan: dict[str, Any] = {"axes": ("z_slope",), "positions": {"z_slope": AT_MM}, "offset_um": 4.0}
-            record = await bench.commission(person, **plan)
-            assert record is not None and record.guard_version == GUARD_VERSION
-            proved = record.axes["z_slope"]
-            assert (proved.sign, proved.scale) == (1, 1.0)
-            assert proved.slope is not None and proved.slope.positions_mm == AT_MM
-            assert proved.slope.of == "z" and proved.slope.pivot_mm == 250.0
-            assert proved.written_um == pytest.approx(proved.measured_um) and proved.written_um >= 2.0
-            assert proved.readings is not None and "z at 480 mm minus at 20 mm" in proved.readings.source
-            assert bench.at_rest(), "everything is back at zero"
-            bench.reset()
-            with pytest.raises(CommissioningRefusedError, match="the sign is wrong"):
-                await bench.commission(Walking(bench, -1.0), **plan)
-            assert bench.at_rest()
-
-    asyncio.run(main())
+async def test_a_slope_is_proved_by_what_two_positions_show(tmp_path: Path) -> None:
+    async with serving(tmp_path, "sinumerik", SLOPE) as bench:
+        person = Walking(bench)
+        plan: dict[str, Any] = {"axes": ("z_slope",), "positions": {"z_slope": AT_MM}, "offset_um": 4.0}
+        record = await bench.commission(person, **plan)
+        assert record is not None and record.guard_version == GUARD_VERSION
+        proved = record.axes["z_slope"]
+        assert (proved.sign, proved.scale) == (1, 1.0)
+        assert proved.slope is not None and proved.slope.positions_mm == AT_MM
+        assert proved.slope.of == "z" and proved.slope.pivot_mm == 250.0
+        assert proved.written_um == pytest.approx(proved.measured_um) and proved.written_um >= 2.0
+        assert proved.readings is not None and "z at 480 mm minus at 20 mm" in proved.readings.source
+        assert bench.at_rest(), "everything is back at zero"
+        bench.reset()
+        with pytest.raises(CommissioningRefusedError, match="the sign is wrong"):
+            await bench.commission(Walking(bench, -1.0), **plan)
+        assert bench.at_rest()
 
 
 class CallingThere(Person):
@@ -82,17 +78,14 @@ class CallingThere(Person):
         return await super().confirm(question)
 
 
-def test_at_a_fanuc_the_guard_is_called_at_both_positions_until_the_slope_is_there(tmp_path: Path) -> None:
-    async def main() -> None:
-        async with serving(tmp_path, "opcua", SLOPE) as bench:
-            person = CallingThere(bench)
-            plan: dict[str, Any] = {"axes": ("z_slope",), "positions": {"z_slope": AT_MM}, "offset_um": 4.0}
-            record = await bench.commission(person, **plan)
-            assert record is not None
-            proved = record.axes["z_slope"]
-            assert proved.sign == 1 and proved.scale == pytest.approx(1.0, abs=0.03), "of increments of 0.1 um"
-            assert proved.slope is not None and proved.slope.positions_mm == AT_MM
-            assert "on its way to where the axis stands" in person.text_said
-            assert bench.at_rest(), "everything is back at zero"
-
-    asyncio.run(main())
+async def test_at_a_fanuc_the_guard_is_called_at_both_positions_until_the_slope_is_there(tmp_path: Path) -> None:
+    async with serving(tmp_path, "opcua", SLOPE) as bench:
+        person = CallingThere(bench)
+        plan: dict[str, Any] = {"axes": ("z_slope",), "positions": {"z_slope": AT_MM}, "offset_um": 4.0}
+        record = await bench.commission(person, **plan)
+        assert record is not None
+        proved = record.axes["z_slope"]
+        assert proved.sign == 1 and proved.scale == pytest.approx(1.0, abs=0.03), "of increments of 0.1 um"
+        assert proved.slope is not None and proved.slope.positions_mm == AT_MM
+        assert "on its way to where the axis stands" in person.text_said
+        assert bench.at_rest(), "everything is back at zero"

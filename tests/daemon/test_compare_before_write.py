@@ -18,17 +18,6 @@ FOREIGN = [(Z, -0.02), (Z, 1e9), *((number, 1e9) for number in BLOCK if number !
 ACKNOWLEDGE = 524
 
 
-@pytest.fixture
-def bench(tmp_path):
-    return Bench(tmp_path)
-
-
-@pytest.fixture
-async def rig(bench):
-    async with running(bench.rig()) as rig:
-        yield rig
-
-
 def audited(rig: Rig):
     with HistoryReader(rig.history.path) as reader:
         return reader.writes(0.0, 2.0**40)

@@ -1,16 +1,11 @@
 """What the control says that it applies is believed only as far as the guard can have done it."""
 
 import pytest
-from control_rig import ENABLE, Bench, running
+from control_rig import ENABLE, running
 
 from daemon.history import HistoryReader
 
 ECHO_Z = 513
-
-
-@pytest.fixture
-def bench(tmp_path):
-    return Bench(tmp_path)
 
 
 @pytest.mark.parametrize("echo_mm", [0.025, 0.5, -0.031])

@@ -18,17 +18,6 @@ from models.control.state import OperatorRequest
 from models.records import CncRun, WriteOutcome
 
 
-@pytest.fixture
-def bench(tmp_path):
-    return Bench(tmp_path)
-
-
-@pytest.fixture
-async def rig(bench):
-    async with running(bench.rig()) as rig:
-        yield rig
-
-
 async def test_a_foreign_value_is_a_fault_until_it_is_acknowledged(rig, bench):
     await rig.active()
     await rig.follow(0.0, -10.0, 30)

@@ -4,7 +4,7 @@ import json
 from dataclasses import replace
 
 import pytest
-from control_rig import Bench, Z, record_for, running
+from control_rig import Z, record_for, running
 from wires import EVER, check_audit
 
 from config.records.commissioning import CommissionedAxis
@@ -17,17 +17,6 @@ from models.records import WriteOutcome
 
 ECHO_Y = 512
 TERM = ToolTermConfig(length_mm=200.0, expansion_um_per_m_k=10.0, temperatures={"A": 1.0})
-
-
-@pytest.fixture
-def bench(tmp_path):
-    return Bench(tmp_path)
-
-
-@pytest.fixture
-async def rig(bench):
-    async with running(bench.rig()) as rig:
-        yield rig
 
 
 async def leave(bench, error_um=-10.0):

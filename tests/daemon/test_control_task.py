@@ -6,7 +6,7 @@ from contextlib import asynccontextmanager
 
 import numpy as np
 import pytest
-from control_rig import BLOCK, ENABLE, SEQUENCE_A, SEQUENCE_B, VALID_UNTIL, Bench, Rig, Z, machine, record_for, running
+from control_rig import BLOCK, ENABLE, SEQUENCE_A, SEQUENCE_B, VALID_UNTIL, Rig, Z, machine, record_for, running
 from memory_cnc import MemoryNc
 
 from daemon.messages import ReferenceRebased, ReferenceRefused, ReferenceRequest
@@ -14,17 +14,6 @@ from daemon.monitor.control_socket import RequestError
 from drivers.clock import SystemClock
 from models.control.state import OperatorRequest
 from models.records import CncRun
-
-
-@pytest.fixture
-def bench(tmp_path):
-    return Bench(tmp_path)
-
-
-@pytest.fixture
-async def rig(bench):
-    async with running(bench.rig()) as rig:
-        yield rig
 
 
 async def test_the_tool_point_is_moved_against_the_error(rig):

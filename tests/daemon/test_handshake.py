@@ -28,12 +28,6 @@ def bench(tmp_path):
     return requesting_bench(tmp_path)
 
 
-@pytest.fixture
-async def rig(bench):
-    async with running(bench.rig()) as rig:
-        yield rig
-
-
 async def test_a_reference_is_answered_only_when_it_is_in_force_and_the_cnc_holds_its_value(rig, bench):
     await rig.active()
     await rig.follow(0.0, -8.0, 40)

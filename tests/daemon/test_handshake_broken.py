@@ -12,12 +12,6 @@ def bench(tmp_path):
     return requesting_bench(tmp_path)
 
 
-@pytest.fixture
-async def rig(bench):
-    async with running(bench.rig()) as rig:
-        yield rig
-
-
 async def test_a_retreat_block_takes_the_offset_out_also_when_the_reference_has_ended_before(tmp_path):
     bench = zero_first(Bench(tmp_path))
     async with running(bench.rig()) as rig:

@@ -2,7 +2,6 @@
 
 import json
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from control_rig import SENSOR_IDS
-from model_folder import configured, open_folder, proposal
+from model_folder import configured, proposal
 from other_user import OTHER
 from rewired import EXCHANGED, rewired
 from small_model import model
@@ -29,12 +28,6 @@ from models.thermal.model import MACHINE
 
 STRANGER = Account(user_id=OTHER)
 OF_MILL_7 = {MACHINE: "mill 7"}
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    with open_folder() as made:
-        yield made
 
 
 def test_the_model_of_another_machine_needs_a_person_s_word(folder: Path) -> None:

@@ -1,14 +1,12 @@
 """Releases without a person, and what the commands say."""
 
 import os
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from control_rig import SENSOR_IDS
-from model_folder import configured, open_folder, proposal
+from model_folder import configured, proposal
 from rewired import EXCHANGED, rewired
 from small_model import model
 
@@ -27,12 +25,6 @@ from models.thermal.model import READS
 from models.thermal.training.train_family import train_family
 
 STRANGER = Account(user_id=54321)
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    with open_folder() as made:
-        yield made
 
 
 @pytest.fixture(scope="module")

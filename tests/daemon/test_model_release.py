@@ -2,13 +2,12 @@
 
 import json
 import os
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from model_folder import configured, open_folder, proposal
+from model_folder import configured, proposal
 from other_user import OTHER, as_root, as_user
 from small_model import model
 
@@ -21,12 +20,6 @@ from daemon.model_release.retraining import propose
 from models.thermal.linear import LinearModel
 
 STRANGER = Account(user_id=OTHER)
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    with open_folder() as made:
-        yield made
 
 
 # --- who could change a file ---------------------------------------------------------------

@@ -34,12 +34,6 @@ def bench(tmp_path):
     return requesting_bench(tmp_path)
 
 
-@pytest.fixture
-async def rig(bench):
-    async with running(bench.rig()) as rig:
-        yield rig
-
-
 def put(bench, number, value):
     """Let a macro hold what a careless program, a person or a defective server may have put there."""
     bench.nc.macros._values[number] = value

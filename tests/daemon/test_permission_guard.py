@@ -1,16 +1,10 @@
 """The guard that echoes and the guard that was commissioned must be the same."""
 
-import pytest
-from control_rig import Bench, record_for, running
+from control_rig import record_for, running
 
 from config.records.commissioning_file import save_commissioning
 from config.signing_key import SigningKey
 from models.control.state import OperatorRequest
-
-
-@pytest.fixture
-def bench(tmp_path) -> Bench:
-    return Bench(tmp_path)
 
 
 async def test_another_guard_than_the_commissioned_one_is_not_enabled(bench):

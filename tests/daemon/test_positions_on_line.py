@@ -1,7 +1,7 @@
 """Axis positions as inputs of the model on line: believed or not, beyond training, lost, at a restart, and recorded."""
 
-import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -92,26 +92,22 @@ def a_sample(now: Any, positions_mm: dict[str, float]) -> CncSample:
     )
 
 
-def played(directory: Path, play: Callable[[Axis], Awaitable[None]], the_model: Any = None) -> None:
-    async def main() -> None:
-        bench = Axis(directory, the_model)
-        await bench.minutes(3.0)
-        await bench.rig.ask()
-        await play(bench)
-        bench.rig.history.close()
-
-    asyncio.run(main())
+@asynccontextmanager
+async def playing(directory: Path, the_model: Any = None) -> AsyncIterator[Axis]:
+    bench = Axis(directory, the_model)
+    await bench.minutes(3.0)
+    await bench.rig.ask()
+    yield bench
+    bench.rig.history.close()
 
 
-def test_the_estimate_follows_the_mean_position_of_the_last_minute(tmp_path: Path) -> None:
-    async def play(bench: Axis) -> None:
+async def test_the_estimate_follows_the_mean_position_of_the_last_minute(tmp_path: Path) -> None:
+    async with playing(tmp_path) as bench:
         await bench.minutes(0.5, 350.0)
         assert 0.0 < bench.um < UM_PER_MM * 100.0, "half a minute there"
         await bench.minutes(1.5)
         assert bench.um == pytest.approx(UM_PER_MM * 100.0) and bench.latest.confidence == 1.0
         assert bench.latest.inhibit == "" and bench.rig.task.inhibit() == ""
-
-    played(tmp_path, play)
 
 
 @pytest.mark.parametrize(
@@ -123,10 +119,10 @@ def test_the_estimate_follows_the_mean_position_of_the_last_minute(tmp_path: Pat
         (-25.4, "", "travel_mm"),
     ],
 )
-def test_a_position_that_is_lost_or_in_another_unit_holds_the_output_and_moves_nothing(
+async def test_a_position_that_is_lost_or_in_another_unit_holds_the_output_and_moves_nothing(
     tmp_path: Path, z_mm: float, lacking: str, words: str
 ) -> None:
-    async def play(bench: Axis) -> None:
+    async with playing(tmp_path) as bench:
         await bench.minutes(2.0, 300.0)
         before = bench.um
         await bench.minutes(2.0, z_mm, lacking)
@@ -135,13 +131,11 @@ def test_a_position_that_is_lost_or_in_another_unit_holds_the_output_and_moves_n
         await bench.minutes(2.0, 300.0)
         assert bench.latest.confidence == 1.0 and bench.um == pytest.approx(before), "as if it had never gone"
 
-    played(tmp_path, play)
 
-
-def test_one_value_that_the_axis_cannot_have_reached_is_dropped_and_two_hold_until_a_new_reference(
+async def test_one_value_that_the_axis_cannot_have_reached_is_dropped_and_two_hold_until_a_new_reference(
     tmp_path: Path,
 ) -> None:
-    async def play(bench: Axis) -> None:
+    async with playing(tmp_path) as bench:
         await bench.minutes(1.0, 300.0)
         before = bench.um
         await bench.poll(450.0)
@@ -158,32 +152,28 @@ def test_one_value_that_the_axis_cannot_have_reached_is_dropped_and_two_hold_unt
         await bench.minutes(0.5)
         assert bench.latest.confidence == 1.0 and bench.um == pytest.approx(0.0)
 
-    played(tmp_path, play)
 
-
-def test_a_control_that_begins_to_count_in_inches_inside_the_travel_moves_nothing(
+async def test_a_control_that_begins_to_count_in_inches_inside_the_travel_moves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A fast axis can come from 250 to 9.84 mm between two polls; it stood, and the tool went by 5 um."""
     monkeypatch.setitem(globals(), "AXIS", AXIS.model_copy(update={"rapid_mm_per_min": 3e4}))
 
-    async def play(bench: Axis) -> None:
+    async with playing(tmp_path) as bench:
         await bench.minutes(2.0, 9.8425)
         assert bench.um == pytest.approx(0.0, abs=1e-9) or bench.latest.confidence == 0.0
         await bench.minutes(2.0, 8.0)
         assert bench.latest.confidence == 0.0 and "the same in another unit" in bench.latest.inhibit
         assert "its unit is right" in bench.rig.task.inhibit()
 
-    played(tmp_path, play)
-
 
 @pytest.mark.parametrize("of_increments", [False, True])
-def test_beyond_the_positions_of_training_confidence_fades_and_then_nothing_is_followed(
+async def test_beyond_the_positions_of_training_confidence_fades_and_then_nothing_is_followed(
     tmp_path: Path, of_increments: bool
 ) -> None:
     shift = 250.0 if of_increments else 0.0
 
-    async def play(bench: Axis) -> None:
+    async with playing(tmp_path, with_position(100.0 - shift, 300.0 - shift, of_increments=of_increments)) as bench:
         await bench.minutes(2.0, 300.0)
         assert bench.latest.confidence == 1.0
         await bench.minutes(2.0, 310.0)
@@ -193,11 +183,9 @@ def test_beyond_the_positions_of_training_confidence_fades_and_then_nothing_is_f
         await bench.minutes(2.0, 290.0)
         assert bench.latest.confidence == 1.0
 
-    played(tmp_path, play, with_position(100.0 - shift, 300.0 - shift, of_increments=of_increments))
 
-
-def test_a_reference_that_was_set_without_a_position_is_not_followed(tmp_path: Path) -> None:
-    async def play(bench: Axis) -> None:
+async def test_a_reference_that_was_set_without_a_position_is_not_followed(tmp_path: Path) -> None:
+    async with playing(tmp_path) as bench:
         await bench.minutes(2.0, float("nan"))
         await bench.rig.ask("r2")
         await bench.minutes(2.0, 250.0)
@@ -206,33 +194,28 @@ def test_a_reference_that_was_set_without_a_position_is_not_followed(tmp_path: P
         await bench.minutes(0.5)
         assert bench.latest.confidence == 1.0
 
-    played(tmp_path, play)
 
-
-def test_a_restart_goes_on_from_where_the_axis_stood_at_the_reference(tmp_path: Path) -> None:
-    async def main() -> None:
-        bench = Axis(tmp_path)
-        await bench.minutes(3.0)
-        await bench.rig.ask()
-        await bench.minutes(2.0, 340.0)
-        before = bench.um
-        (reference,) = bench.rig.references
-        taken_up = bench.rig.taken_up(reference)
-        await bench.rig.history.flushed()
-        bench.rig = bench.rig.restarted(with_position())
-        await bench.rig.task._take(taken_up)
-        await bench.minutes(2.0)
-        assert bench.um == pytest.approx(before, abs=1e-3) and bench.latest.confidence == 1.0
-        bench.rig.history.close()
-
-    asyncio.run(main())
+async def test_a_restart_goes_on_from_where_the_axis_stood_at_the_reference(tmp_path: Path) -> None:
+    bench = Axis(tmp_path)
+    await bench.minutes(3.0)
+    await bench.rig.ask()
+    await bench.minutes(2.0, 340.0)
+    before = bench.um
+    (reference,) = bench.rig.references
+    taken_up = bench.rig.taken_up(reference)
+    await bench.rig.history.flushed()
+    bench.rig = bench.rig.restarted(with_position())
+    await bench.rig.task._take(taken_up)
+    await bench.minutes(2.0)
+    assert bench.um == pytest.approx(before, abs=1e-3) and bench.latest.confidence == 1.0
+    bench.rig.history.close()
 
 
 @pytest.mark.parametrize("polls", [2, 3, 30])
-def test_a_reference_soon_after_a_jump_counts_from_where_the_axis_is_or_says_that_it_does_not_know(
+async def test_a_reference_soon_after_a_jump_counts_from_where_the_axis_is_or_says_that_it_does_not_know(
     tmp_path: Path, polls: int
 ) -> None:
-    async def play(bench: Axis) -> None:
+    async with playing(tmp_path) as bench:
         for _ in range(polls):
             bench.rig.clock.monotonic_s += 0.5
             await bench.poll(370.0)
@@ -243,8 +226,6 @@ def test_a_reference_soon_after_a_jump_counts_from_where_the_axis_is_or_says_tha
             await bench.rig.ask("r3")
             await bench.minutes(3.0)
         assert bench.um == pytest.approx(0.0, abs=1e-9) and bench.latest.confidence == 1.0
-
-    played(tmp_path, play)
 
 
 async def after_a_restart(bench: Axis, **changes: Any) -> None:
@@ -258,10 +239,10 @@ async def after_a_restart(bench: Axis, **changes: Any) -> None:
     await bench.minutes(2.0)
 
 
-def test_a_restart_counts_from_no_position_that_was_not_believed(tmp_path: Path) -> None:
+async def test_a_restart_counts_from_no_position_that_was_not_believed(tmp_path: Path) -> None:
     """The store keeps what the control said: a slip in the minute before the reference came back with a restart."""
 
-    async def play(bench: Axis) -> None:
+    async with playing(tmp_path) as bench:
         for z_mm in (9.8e3, 250.0):
             bench.rig.clock.monotonic_s += 1.0
             await bench.poll(z_mm)
@@ -271,17 +252,15 @@ def test_a_restart_counts_from_no_position_that_was_not_believed(tmp_path: Path)
         await after_a_restart(bench)
         assert bench.um == pytest.approx(0.0, abs=1e-9) and bench.latest.confidence == 1.0
 
-    played(tmp_path, play)
-
 
 @pytest.mark.parametrize("at_reference", [True, False])
-def test_a_model_with_positions_takes_over_when_they_are_known_and_not_before(
+async def test_a_model_with_positions_takes_over_when_they_are_known_and_not_before(
     tmp_path: Path, at_reference: bool
 ) -> None:
     """It once took over with none, and the output went by all that the axis had moved when the position came back."""
     lost = float("nan")
 
-    async def play(bench: Axis) -> None:
+    async with playing(tmp_path, model(model_id="without")) as bench:
         if not at_reference:
             await bench.minutes(1.0, lost)
             await bench.rig.ask("r2")
@@ -294,5 +273,3 @@ def test_a_model_with_positions_takes_over_when_they_are_known_and_not_before(
         await bench.rig.ask("r3")
         await bench.minutes(1.0)
         assert bench.latest.model_id == "made-up" and bench.latest.confidence == 1.0
-
-    played(tmp_path, play, model(model_id="without"))

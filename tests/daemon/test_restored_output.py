@@ -12,11 +12,6 @@ from daemon.backup.restoring import restore
 from models.control.state import OperatorRequest
 
 
-@pytest.fixture
-def bench(tmp_path: Path) -> Bench:
-    return Bench(tmp_path)
-
-
 async def test_after_a_restoration_the_output_waits_for_a_person(bench: Bench, tmp_path: Path) -> None:
     config_path = tmp_path / "toolpoint.yaml"
     content = json.loads(bench.configuration.model_dump_json(exclude_defaults=True))

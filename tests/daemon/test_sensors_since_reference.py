@@ -10,14 +10,6 @@ from thermal_rig import Task, model
 from daemon.messages import ReferenceRebased, ReferenceTakenUp, TemperaturesTrusted
 
 
-@pytest.fixture
-def task(tmp_path):
-    task = Task(tmp_path, model())
-    task.history.start()
-    yield task
-    task.history.close()
-
-
 async def _away(task):
     """Bring it so far that sensor 1 is away while the others have risen by 2 K; return the estimate and the label."""
     await task.minutes(2)

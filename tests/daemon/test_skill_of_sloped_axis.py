@@ -1,6 +1,5 @@
 """Do no harm on an axis with a slope: what is measured is judged where the axis stood, or it is said that it is not."""
 
-import asyncio
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -131,36 +130,33 @@ def test_without_a_slope_in_estimate_and_compensation_the_position_does_not_matt
     assert "axis z" in day.grow((12.0, 0.0), (-12.0, 0.0)) and day.told == []
 
 
-def test_the_control_task_judges_displacements_and_probes_where_the_axis_stands(tmp_path: Path) -> None:
-    async def main() -> None:
-        configuration, clock = sloped(tmp_path), HandClock()
-        record = record_for(configuration, axes=proved())
-        rig = Rig(configuration, MemoryNc(configuration, clock), clock, record=record)
-        async with running(rig):
-            rig.nc.positions_mm["Z_mm"] = 500.0
-            await rig.turn()
-            rig.set_reference()
-            await rig.switch_on("z", "z_slope")
-            said = {"channels": ("Z1", "Z1_per_m"), "band_um": np.full(2, np.nan)}
-            for turn in range(120):
-                share = min(turn / 40.0, 1.0)
-                await rig.turn(rig.estimate(0.0, 0.0, thermal_error_um=share * np.array([-20.0, 80.0]), **said))
-                um = np.array([share * (-20.0 + 0.25 * 80.0) + rig.applied["z"] + 0.25 * rig.applied["z_slope"]])
-                utc_s = rig.clock.now().utc_s
-                rig.control.deliver(
-                    DisplacementSample(utc_s=utc_s, um=um, reason=np.zeros(1, dtype=np.uint8), source="t:1")
-                )
-            assert rig.state == "ACTIVE" and rig.control.skill.inhibit() is None
-            (record_of_z,) = rig.control.skill._records.values()
-            assert len(record_of_z.left_um) > LEAST_PAIRS and max(map(abs, record_of_z.left_um)) < 5.0
-            for _ in range(4):  # measuring takes longer than the guard's last step is ago
-                grown = rig.estimate(0.0, 0.0, thermal_error_um=np.array([-20.0, 80.0]), **said)
-                await rig.turn(grown, safe=False)
-            applied_um = rig.applied["z"] + 0.25 * rig.applied["z_slope"]
-            assert rig.control._measured.take_probe("z", 1.0) == ""
-            await rig.turn(rig.estimate(0.0, 0.0, thermal_error_um=np.array([-20.0, 80.0]), **said))
-            (record_of_z,) = rig.control.skill._records.values()
-            assert record_of_z.measured_um[-1] == pytest.approx(1.0 - applied_um, abs=0.5), "at the pivot it were -19"
-            assert record_of_z.left_um[-1] == pytest.approx(1.0 - applied_um, abs=0.5)
-
-    asyncio.run(main())
+async def test_the_control_task_judges_displacements_and_probes_where_the_axis_stands(tmp_path: Path) -> None:
+    configuration, clock = sloped(tmp_path), HandClock()
+    record = record_for(configuration, axes=proved())
+    rig = Rig(configuration, MemoryNc(configuration, clock), clock, record=record)
+    async with running(rig):
+        rig.nc.positions_mm["Z_mm"] = 500.0
+        await rig.turn()
+        rig.set_reference()
+        await rig.switch_on("z", "z_slope")
+        said = {"channels": ("Z1", "Z1_per_m"), "band_um": np.full(2, np.nan)}
+        for turn in range(120):
+            share = min(turn / 40.0, 1.0)
+            await rig.turn(rig.estimate(0.0, 0.0, thermal_error_um=share * np.array([-20.0, 80.0]), **said))
+            um = np.array([share * (-20.0 + 0.25 * 80.0) + rig.applied["z"] + 0.25 * rig.applied["z_slope"]])
+            utc_s = rig.clock.now().utc_s
+            rig.control.deliver(
+                DisplacementSample(utc_s=utc_s, um=um, reason=np.zeros(1, dtype=np.uint8), source="t:1")
+            )
+        assert rig.state == "ACTIVE" and rig.control.skill.inhibit() is None
+        (record_of_z,) = rig.control.skill._records.values()
+        assert len(record_of_z.left_um) > LEAST_PAIRS and max(map(abs, record_of_z.left_um)) < 5.0
+        for _ in range(4):  # measuring takes longer than the guard's last step is ago
+            grown = rig.estimate(0.0, 0.0, thermal_error_um=np.array([-20.0, 80.0]), **said)
+            await rig.turn(grown, safe=False)
+        applied_um = rig.applied["z"] + 0.25 * rig.applied["z_slope"]
+        assert rig.control._measured.take_probe("z", 1.0) == ""
+        await rig.turn(rig.estimate(0.0, 0.0, thermal_error_um=np.array([-20.0, 80.0]), **said))
+        (record_of_z,) = rig.control.skill._records.values()
+        assert record_of_z.measured_um[-1] == pytest.approx(1.0 - applied_um, abs=0.5), "at the pivot it were -19"
+        assert record_of_z.left_um[-1] == pytest.approx(1.0 - applied_um, abs=0.5)

@@ -109,17 +109,14 @@ def test_a_model_s_slope_goes_to_a_slope_about_the_same_pivot_only(tmp_path: Pat
         ({"z": proved()["z_slope"], "z_slope": proved()["z_slope"]}, "as a slope of z about 250 mm and is an offset"),
     ],
 )
-def test_a_slope_that_nobody_has_seen_is_not_enabled(tmp_path: Path, axes: Any, words: str) -> None:
-    async def main() -> None:
-        rig = a_rig(tmp_path, axes=axes)
-        async with running(rig):
-            await rig.turn()
-            refusal = rig.control.request(OperatorRequest(enable=frozenset({"z", "z_slope"})), "a person")
-            assert words in refusal
-            await rig.follow(10.0, 0.0, 5, **errors(10.0, 60.0))
-            assert rig.applied == {"z": 0.0, "z_slope": 0.0}
-
-    asyncio.run(main())
+async def test_a_slope_that_nobody_has_seen_is_not_enabled(tmp_path: Path, axes: Any, words: str) -> None:
+    rig = a_rig(tmp_path, axes=axes)
+    async with running(rig):
+        await rig.turn()
+        refusal = rig.control.request(OperatorRequest(enable=frozenset({"z", "z_slope"})), "a person")
+        assert words in refusal
+        await rig.follow(10.0, 0.0, 5, **errors(10.0, 60.0))
+        assert rig.applied == {"z": 0.0, "z_slope": 0.0}
 
 
 def a_rig(directory: Path, axes: Any = None, *, fanuc: bool = False) -> Rig:
@@ -145,115 +142,102 @@ def errors(z_um: float, z_um_per_m: float) -> dict[str, Any]:
 # --- the output --------------------------------------------------------------------------
 
 
-def test_a_slope_is_requested_limited_written_verified_and_applied_beside_the_offset(tmp_path: Path) -> None:
-    async def main() -> None:
-        rig = a_rig(tmp_path)
-        async with running(rig):
-            await rig.turn()
-            rig.set_reference()
-            await rig.switch_on("z", "z_slope")
-            moved = rig.nc.guard.control.moved_mm
-            for _ in range(120):
-                before = [moved("Z", at) for at in (*TRAVEL_MM, PIVOT_MM)]
-                await rig.turn(rig.estimate(0.0, 0.0, **errors(10.0, 60.0)))
-                after = [moved("Z", at) for at in (*TRAVEL_MM, PIVOT_MM)]
-                most_um = max(abs(a - b) for a, b in zip(after, before, strict=True)) * 1000.0
-                assert most_um <= Z["step_um"] + 1e-3
-            assert rig.state == "ACTIVE"
-            assert rig.applied == {"z": pytest.approx(-10.0), "z_slope": pytest.approx(-60.0)}
-            assert moved("Z", 500.0) * 1000.0 == pytest.approx(-10.0 - 0.25 * 60.0)
-            await rig.follow(0.0, 0.0, 200, **errors(90.0, 900.0))
-            assert abs(moved("Z", 500.0)) * 1000.0 == pytest.approx(Z["absolute_bound_um"], abs=1.0)
-            assert {"z:bound", "z_slope:bound"} <= set(rig.control.memory.limits_hit)
-            rig.control.request(OperatorRequest(zero=True), "a person")
-            await rig.follow(0.0, 0.0, 200, **errors(90.0, 900.0))
-            assert rig.state == "OFF" and rig.applied == {"z": 0.0, "z_slope": 0.0}
-
-    asyncio.run(main())
+async def test_a_slope_is_requested_limited_written_verified_and_applied_beside_the_offset(tmp_path: Path) -> None:
+    rig = a_rig(tmp_path)
+    async with running(rig):
+        await rig.turn()
+        rig.set_reference()
+        await rig.switch_on("z", "z_slope")
+        moved = rig.nc.guard.control.moved_mm
+        for _ in range(120):
+            before = [moved("Z", at) for at in (*TRAVEL_MM, PIVOT_MM)]
+            await rig.turn(rig.estimate(0.0, 0.0, **errors(10.0, 60.0)))
+            after = [moved("Z", at) for at in (*TRAVEL_MM, PIVOT_MM)]
+            most_um = max(abs(a - b) for a, b in zip(after, before, strict=True)) * 1000.0
+            assert most_um <= Z["step_um"] + 1e-3
+        assert rig.state == "ACTIVE"
+        assert rig.applied == {"z": pytest.approx(-10.0), "z_slope": pytest.approx(-60.0)}
+        assert moved("Z", 500.0) * 1000.0 == pytest.approx(-10.0 - 0.25 * 60.0)
+        await rig.follow(0.0, 0.0, 200, **errors(90.0, 900.0))
+        assert abs(moved("Z", 500.0)) * 1000.0 == pytest.approx(Z["absolute_bound_um"], abs=1.0)
+        assert {"z:bound", "z_slope:bound"} <= set(rig.control.memory.limits_hit)
+        rig.control.request(OperatorRequest(zero=True), "a person")
+        await rig.follow(0.0, 0.0, 200, **errors(90.0, 900.0))
+        assert rig.state == "OFF" and rig.applied == {"z": 0.0, "z_slope": 0.0}
 
 
-def test_at_a_fanuc_the_offset_is_what_the_place_needs_that_the_axis_stands_at_and_none_is_left(tmp_path: Path) -> None:
-    async def main() -> None:
-        rig = a_rig(tmp_path, fanuc=True)
-        control = rig.nc.guard.control
-        async with running(rig):
-            await rig.turn()
-            rig.set_reference()
-            await rig.switch_on("z", "z_slope")
-            for turn in range(200):
-                control.positions_mm[2] = (0.0, 0.0, 500.0, 130.0)[turn % 4] if turn < 160 else 500.0
-                before_mm = control.external_mm[2]
-                await rig.turn(rig.estimate(0.0, 0.0, **errors(10.0, 60.0)))
-                assert abs(control.external_mm[2] - before_mm) * 1000.0 <= Z["step_um"] + 1e-3
-                assert abs(control.external_mm[2]) * 1000.0 <= Z["absolute_bound_um"]
-            assert rig.state == "ACTIVE"
-            assert control.external_mm[2] * 1000.0 == pytest.approx(-10.0 - 0.25 * 60.0)
-            control.positions_mm[2] = PIVOT_MM
-            await rig.follow(0.0, 0.0, 10, **errors(10.0, 60.0))
-            assert rig.applied == {"z": pytest.approx(-10.0), "z_slope": pytest.approx(-60.0)}
-            control.positions_mm[2] = 0.0
-            rig.control.request(OperatorRequest(zero=True), "a person")
-            await rig.follow(0.0, 0.0, 200, **errors(90.0, 900.0))
-            assert rig.state == "OFF" and control.external_mm[2] == pytest.approx(0.0, abs=1e-9)
-
-    asyncio.run(main())
-
-
-def test_at_a_fanuc_the_second_call_far_from_the_one_before_or_outside_the_travel_is_an_alarm_in_words(
+async def test_at_a_fanuc_the_offset_is_what_the_place_needs_that_the_axis_stands_at_and_none_is_left(
     tmp_path: Path,
 ) -> None:
-    async def main() -> None:
-        rig = a_rig(tmp_path, fanuc=True)
-        control, ends = rig.nc.guard.control, (0.0, 500.0)
-        async with running(rig):
-            await rig.turn()
-            rig.set_reference()
-            await rig.switch_on("z", "z_slope")
-            control.positions_mm[2] = PIVOT_MM
-            await rig.follow(0.0, 0.0, 200, **errors(10.0, 100.0))
-            told = []
-            for turn in range(12):
-                control.positions_mm[2] = ends[turn % 2]
-                await rig.follow(0.0, 0.0, 1, **errors(10.0, 100.0))
-                told.append(rig.control.journal.alarm)
-            assert rig.state == "ACTIVE" and told[0] == "" and told[-1].startswith("the guard applies the block, but a")
-            control.positions_mm[2] = 510.0
-            await rig.follow(0.0, 0.0, 6, **errors(10.0, 100.0))
-            assert rig.control.journal.alarm.startswith("the guard applies nothing of the block, of any axis: one with")
-            control.positions_mm[2] = PIVOT_MM
-            await rig.follow(0.0, 0.0, 20, **errors(10.0, 100.0))
-            assert rig.control.journal.alarm == "" and rig.applied["z_slope"] == pytest.approx(-100.0)
-
-    asyncio.run(main())
+    rig = a_rig(tmp_path, fanuc=True)
+    control = rig.nc.guard.control
+    async with running(rig):
+        await rig.turn()
+        rig.set_reference()
+        await rig.switch_on("z", "z_slope")
+        for turn in range(200):
+            control.positions_mm[2] = (0.0, 0.0, 500.0, 130.0)[turn % 4] if turn < 160 else 500.0
+            before_mm = control.external_mm[2]
+            await rig.turn(rig.estimate(0.0, 0.0, **errors(10.0, 60.0)))
+            assert abs(control.external_mm[2] - before_mm) * 1000.0 <= Z["step_um"] + 1e-3
+            assert abs(control.external_mm[2]) * 1000.0 <= Z["absolute_bound_um"]
+        assert rig.state == "ACTIVE"
+        assert control.external_mm[2] * 1000.0 == pytest.approx(-10.0 - 0.25 * 60.0)
+        control.positions_mm[2] = PIVOT_MM
+        await rig.follow(0.0, 0.0, 10, **errors(10.0, 60.0))
+        assert rig.applied == {"z": pytest.approx(-10.0), "z_slope": pytest.approx(-60.0)}
+        control.positions_mm[2] = 0.0
+        rig.control.request(OperatorRequest(zero=True), "a person")
+        await rig.follow(0.0, 0.0, 200, **errors(90.0, 900.0))
+        assert rig.state == "OFF" and control.external_mm[2] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_slope_that_nobody_enabled_stays_at_zero_while_the_offset_is_followed(tmp_path: Path) -> None:
-    async def main() -> None:
-        rig = a_rig(tmp_path)
-        async with running(rig):
-            await rig.turn()
-            rig.set_reference()
-            await rig.switch_on("z")
-            await rig.follow(0.0, 0.0, 120, **errors(10.0, 60.0))
-            assert rig.applied == {"z": pytest.approx(-10.0), "z_slope": 0.0}
+async def test_at_a_fanuc_the_second_call_far_from_the_one_before_or_outside_the_travel_is_an_alarm_in_words(
+    tmp_path: Path,
+) -> None:
+    rig = a_rig(tmp_path, fanuc=True)
+    control, ends = rig.nc.guard.control, (0.0, 500.0)
+    async with running(rig):
+        await rig.turn()
+        rig.set_reference()
+        await rig.switch_on("z", "z_slope")
+        control.positions_mm[2] = PIVOT_MM
+        await rig.follow(0.0, 0.0, 200, **errors(10.0, 100.0))
+        told = []
+        for turn in range(12):
+            control.positions_mm[2] = ends[turn % 2]
+            await rig.follow(0.0, 0.0, 1, **errors(10.0, 100.0))
+            told.append(rig.control.journal.alarm)
+        assert rig.state == "ACTIVE" and told[0] == "" and told[-1].startswith("the guard applies the block, but a")
+        control.positions_mm[2] = 510.0
+        await rig.follow(0.0, 0.0, 6, **errors(10.0, 100.0))
+        assert rig.control.journal.alarm.startswith("the guard applies nothing of the block, of any axis: one with")
+        control.positions_mm[2] = PIVOT_MM
+        await rig.follow(0.0, 0.0, 20, **errors(10.0, 100.0))
+        assert rig.control.journal.alarm == "" and rig.applied["z_slope"] == pytest.approx(-100.0)
 
-    asyncio.run(main())
+
+async def test_a_slope_that_nobody_enabled_stays_at_zero_while_the_offset_is_followed(tmp_path: Path) -> None:
+    rig = a_rig(tmp_path)
+    async with running(rig):
+        await rig.turn()
+        rig.set_reference()
+        await rig.switch_on("z")
+        await rig.follow(0.0, 0.0, 120, **errors(10.0, 60.0))
+        assert rig.applied == {"z": pytest.approx(-10.0), "z_slope": 0.0}
 
 
-def test_a_foreign_value_in_the_slope_s_macro_is_a_fault_and_moves_nothing(tmp_path: Path) -> None:
-    async def main() -> None:
-        rig = a_rig(tmp_path)
-        async with running(rig):
-            await rig.turn()
-            rig.set_reference()
-            await rig.switch_on("z", "z_slope")
-            await rig.follow(0.0, 0.0, 120, **errors(10.0, 60.0))
-            rig.nc.macros.set(503, 0.1)
-            await rig.follow(0.0, 0.0, 5, **errors(10.0, 60.0))
-            assert rig.state == "FAULT"
-            assert rig.applied == {"z": pytest.approx(-10.0), "z_slope": pytest.approx(-60.0)}
-
-    asyncio.run(main())
+async def test_a_foreign_value_in_the_slope_s_macro_is_a_fault_and_moves_nothing(tmp_path: Path) -> None:
+    rig = a_rig(tmp_path)
+    async with running(rig):
+        await rig.turn()
+        rig.set_reference()
+        await rig.switch_on("z", "z_slope")
+        await rig.follow(0.0, 0.0, 120, **errors(10.0, 60.0))
+        rig.nc.macros.set(503, 0.1)
+        await rig.follow(0.0, 0.0, 5, **errors(10.0, 60.0))
+        assert rig.state == "FAULT"
+        assert rig.applied == {"z": pytest.approx(-10.0), "z_slope": pytest.approx(-60.0)}
 
 
 # --- commissioning -----------------------------------------------------------------------

@@ -9,7 +9,7 @@ import pytest
 import yaml
 from control_rig import HandClock, running
 from speed_machine import COLD, MACROS, bearing_model, speed_machine
-from speed_rig import CUT, SAFE, SpeedRig
+from speed_rig import CUT, SAFE, SpeedRig, turned
 
 from config.loader import parse_yaml_model
 from config.machine.spindle import load_spindle, spindle_folder
@@ -25,13 +25,7 @@ from models.records import WriteOutcome
 from models.thermomechanics.artifact import model_to_json
 from models.thermomechanics.regression import Bounds, PropertyRegression, ThermomechanicalModel
 
-
-@pytest.fixture
-async def bench(tmp_path: Path) -> Any:
-    bench = SpeedRig(tmp_path)
-    async with running(bench.rig):
-        await bench.rig.turn()
-        yield bench
+bench = turned
 
 
 async def test_an_operation_is_tuned_at_its_safe_block_and_the_nc_takes_the_pair(bench: SpeedRig) -> None:

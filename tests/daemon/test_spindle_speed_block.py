@@ -3,33 +3,21 @@
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from control_rig import running
 from speed_machine import MACROS, speed_machine
-from speed_rig import CUT, SAFE, SpeedRig
+from speed_rig import CUT, SAFE, SpeedRig, acknowledge, turned
 
 from daemon.cnc.commissionable import without_text
 from daemon.spindle_speed.macro_block import DISABLED, OperationKey, SpeedBlock, SpeedPair
 from daemon.spindle_speed.writer import SpeedWriteError, SpeedWriter
 from drivers.guard.speed_text import SpeedStatus
 
+bench = turned
+
 PROGRAMMED = (9000.0, 1800.0)
 APPLIED = SpeedStatus.APPLIED
-
-
-@pytest.fixture
-async def bench(tmp_path: Path) -> Any:
-    bench = SpeedRig(tmp_path)
-    async with running(bench.rig):
-        await bench.rig.turn()
-        yield bench
-
-
-async def acknowledge(bench: SpeedRig) -> None:
-    assert bench.rig.acknowledge("a person") == ""
-    await bench.rig.turn(safe=False)
 
 
 # --- what stands in the macros at the start and after a connection -------------------------

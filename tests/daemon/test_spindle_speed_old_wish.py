@@ -1,27 +1,17 @@
 """A speed that was decided long ago: the NC does not take it where the dynamics of now ask for another one."""
 
-from collections.abc import AsyncIterator
-from pathlib import Path
-
 import pytest
-from control_rig import running
-from speed_rig import CUT, SAFE, SpeedRig
+from speed_rig import CUT, SAFE, SpeedRig, turned
 
 from drivers.guard.speed_text import SpeedStatus
 from models.records import CncRun
+
+bench = turned
 
 PROGRAMMED = (9000.0, 1800.0)
 HYSTERESIS_RPM = 50.0
 WARM, NOTHING_STABLE = 40.0, 150.0
 """Spindles for which another speed is chosen [degC], and none."""
-
-
-@pytest.fixture
-async def bench(tmp_path: Path) -> AsyncIterator[SpeedRig]:
-    bench = SpeedRig(tmp_path)
-    async with running(bench.rig):
-        await bench.rig.turn()
-        yield bench
 
 
 async def announced(bench: SpeedRig) -> float:

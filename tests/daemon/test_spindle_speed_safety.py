@@ -8,27 +8,16 @@ import pytest
 from control_rig import running
 from memory_cnc import MemoryCnc
 from speed_machine import MACROS
-from speed_rig import CUT, SAFE, SpeedRig
+from speed_rig import CUT, SAFE, SpeedRig, acknowledge, turned
 
 from daemon.history.reader import HistoryReader
 from drivers.contract import FatalDriverError
 from drivers.guard.speed_text import SpeedStatus
 
+bench = turned
+
 PROGRAMMED = (9000.0, 1800.0)
 APPLIED = SpeedStatus.APPLIED
-
-
-@pytest.fixture
-async def bench(tmp_path: Path) -> Any:
-    bench = SpeedRig(tmp_path)
-    async with running(bench.rig):
-        await bench.rig.turn()
-        yield bench
-
-
-async def acknowledge(bench: SpeedRig) -> None:
-    assert bench.rig.acknowledge("a person") == ""
-    await bench.rig.turn(safe=False)
 
 
 async def events(bench: SpeedRig, *kinds: str) -> list[str]:

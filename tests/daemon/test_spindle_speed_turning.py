@@ -3,27 +3,19 @@
 import itertools
 import math
 from pathlib import Path
-from typing import Any
 
 import pytest
-from control_rig import running
 from history_records import cnc_sample
 from speed_machine import speed_machine
-from speed_rig import CUT, SAFE, SpeedRig
+from speed_rig import CUT, SAFE, SpeedRig, turned
 
 from daemon.history.reader import HistoryReader
 from daemon.spindle_speed.turning import TurningSpeed
 from models.records import Phase
 
+bench = turned
+
 WARM, HOT = 36.0, 46.0
-
-
-@pytest.fixture
-async def bench(tmp_path: Path) -> Any:
-    bench = SpeedRig(tmp_path)
-    async with running(bench.rig):
-        await bench.rig.turn()
-        yield bench
 
 
 async def events(bench: SpeedRig) -> list[str]:

@@ -1,29 +1,21 @@
 """When the NC is to take no pair although it may be written: another tool, another program, no dynamics, a person."""
 
-from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
-import pytest
 from control_rig import running
 from speed_machine import CASE
-from speed_rig import CUT, SAFE, SpeedRig
+from speed_rig import CUT, SAFE, SpeedRig, turned
 
 from config.schema.spindle_speed import SpeedOperationConfig
 from daemon.monitor.commands import CommandDesk
 from drivers.guard.speed_text import SpeedStatus
 from models.records import CncRun
 
+bench = turned
+
 PROGRAMMED = (9000.0, 1800.0)
 APPLIED, DISABLED = SpeedStatus.APPLIED, SpeedStatus.DISABLED
-
-
-@pytest.fixture
-async def bench(tmp_path: Path) -> AsyncIterator[SpeedRig]:
-    bench = SpeedRig(tmp_path)
-    async with running(bench.rig):
-        await bench.rig.turn()
-        yield bench
 
 
 def operation(program: int, case: Path) -> SpeedOperationConfig:

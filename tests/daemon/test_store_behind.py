@@ -30,11 +30,6 @@ def _in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "RETRY_FIRST_S", 0.01)
 
 
-@pytest.fixture
-def bench(tmp_path: Path) -> Bench:
-    return Bench(tmp_path)
-
-
 @contextmanager
 def unwritable(store: Path) -> Iterator[None]:
     """Have another program lock the store, which refuses every commit as a full disk does."""

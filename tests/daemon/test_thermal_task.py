@@ -15,14 +15,6 @@ from models.quality import Quality, Reason
 from models.records import TemperatureCycle
 
 
-@pytest.fixture
-def task(tmp_path):
-    task = Task(tmp_path, model())
-    task.history.start()
-    yield task
-    task.history.close()
-
-
 async def test_a_reference_before_any_temperature_is_refused_in_words(task):
     with structlog.testing.capture_logs() as logs:
         await task.ask()

@@ -1,13 +1,15 @@
 """The tuning of the spindle speed on a CNC in this process that runs the shipped speed program."""
 
 import asyncio
+from collections.abc import AsyncIterator
 from copy import deepcopy
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from control_rig import HandClock, Rig, record_for
+import pytest
+from control_rig import HandClock, Rig, record_for, running
 from memory_cnc import MemoryNc
 from speed_machine import MACROS, bearing_model, speed_machine
 
@@ -126,3 +128,18 @@ class SpeedRig:
         snapshot = self.speed.snapshot()
         assert snapshot is not None
         return asdict(snapshot)
+
+
+@pytest.fixture
+async def turned(tmp_path: Path) -> AsyncIterator[SpeedRig]:
+    """A rig whose daemon has looked at the control once; a file of tests names it as its bench."""
+    bench = SpeedRig(tmp_path)
+    async with running(bench.rig):
+        await bench.rig.turn()
+        yield bench
+
+
+async def acknowledge(bench: SpeedRig) -> None:
+    """Let a person have seen what is wrong."""
+    assert bench.rig.acknowledge("a person") == ""
+    await bench.rig.turn(safe=False)
