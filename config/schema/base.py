@@ -146,3 +146,16 @@ class SectionOfDriver(Section):
         if problems:
             raise KeyProblems(problems)
         return self
+
+
+class TlsAccount(Section):
+    """What is checked of every section with an account at a server that is reached with TLS or without."""
+
+    @model_validator(mode="after")
+    def _of_use(self) -> Self:
+        given = dict(self)
+        if given["password_file"] is not None and given["user_name"] is None:
+            raise KeyProblems([(("user_name",), "a password needs a user name")])
+        if given["ca_certificate"] is not None and not given["tls"]:
+            raise KeyProblems([(("tls",), "ca_certificate is of use with `tls: true` only")])
+        return self

@@ -90,6 +90,11 @@ class OpcUaSecurityConfig(Section):
         description="the CNC's certificate; no other server is accepted", examples=["/etc/toolpoint/pki/cnc.der"]
     )
 
+    @property
+    def secrets(self) -> dict[str, Path]:
+        """The password's file and the private key, by their keys in the section of the driver."""
+        return {"security.password_file": self.password_file, "security.private_key": self.private_key}
+
 
 NO_NODE = "none"
 """In place of an identifier: the control does not have it."""
@@ -205,9 +210,7 @@ class OpcUaConfig(CncConnection):
     @property
     def secrets(self) -> dict[str, Path]:
         """The password's file and the private key."""
-        if self.security is None:
-            return {}
-        return {f"security.{key}": getattr(self.security, key) for key in ("password_file", "private_key")}
+        return {} if self.security is None else self.security.secrets
 
 
 class FocasConfig(CncConnection):

@@ -18,10 +18,11 @@ from config.schema.base import (
     Seconds,
     Section,
     SectionOfDriver,
+    TlsAccount,
 )
 
 
-class PostgresqlConfig(Section):
+class PostgresqlConfig(TlsAccount):
     """A PostgreSQL database, 13 or newer, with or without TimescaleDB."""
 
     host: str = Field(min_length=1, description="name or address of the server", examples=["192.168.10.50"])
@@ -41,12 +42,6 @@ class PostgresqlConfig(Section):
     )
     timeout_s: Seconds = Field(10.0, description="connecting may take so long, and an answer six times as long")
 
-    @model_validator(mode="after")
-    def _certificate_with_tls(self) -> Self:
-        if self.ca_certificate is not None and not self.tls:
-            raise KeyProblems([(("tls",), "ca_certificate is of use with `tls: true` only")])
-        return self
-
 
 class ParquetConfig(Section):
     """Parquet files, one per machine, kind of record and day, written when the day is over."""
@@ -61,7 +56,7 @@ class ParquetConfig(Section):
 StreamName = Literal["temperatures", "estimates", "writes", "cnc", "displacements", "events", "probes", "references"]
 
 
-class BrokerConfig(Section):
+class BrokerConfig(TlsAccount):
     """A broker that speaks MQTT 5."""
 
     host: Host = Field(description="name or address of the broker", examples=["192.168.10.40"])
@@ -84,14 +79,6 @@ class BrokerConfig(Section):
     resend_s: float = Field(
         10.0, ge=0, description="what the broker took less long ago is sent again after the connection was lost [s]"
     )
-
-    @model_validator(mode="after")
-    def _password_with_user(self) -> Self:
-        if self.password_file is not None and self.user_name is None:
-            raise KeyProblems([(("user_name",), "a password needs a user name")])
-        if self.ca_certificate is not None and not self.tls:
-            raise KeyProblems([(("tls",), "ca_certificate is of use with `tls: true` only")])
-        return self
 
     @property
     def server_port(self) -> int:

@@ -10,7 +10,16 @@ from zoneinfo import ZoneInfo
 
 from pydantic import Field, model_validator
 
-from config.schema.base import ENDPOINT_PATTERN, TOPIC_PATTERN, Host, KeyPath, KeyProblems, Seconds, Section
+from config.schema.base import (
+    ENDPOINT_PATTERN,
+    TOPIC_PATTERN,
+    Host,
+    KeyPath,
+    KeyProblems,
+    Seconds,
+    Section,
+    TlsAccount,
+)
 from config.schema.cnc_drivers import OpcUaSecurityConfig
 from config.schema.sources import Measured, SourceConnection, SourceSensorConfig
 
@@ -233,7 +242,7 @@ class MqttSensorConfig(MqttTopic, SourceSensorConfig):
     """One sensor in the messages of one topic."""
 
 
-class MqttBroker(SourceConnection):
+class MqttBroker(TlsAccount, SourceConnection):
     """A broker to which devices publish."""
 
     driver: ClassVar[str] = "mqtt"
@@ -253,14 +262,6 @@ class MqttBroker(SourceConnection):
         examples=["/etc/toolpoint/pki/broker-ca.pem"],
     )
     timeout_s: Seconds = Field(5.0, description="connecting and subscribing may take so long")
-
-    @model_validator(mode="after")
-    def _password_with_user(self) -> Self:
-        if self.password_file is not None and self.user_name is None:
-            raise KeyProblems([(("user_name",), "a password needs a user name")])
-        if self.ca_certificate is not None and not self.tls:
-            raise KeyProblems([(("tls",), "ca_certificate is of use with `tls: true` only")])
-        return self
 
     @property
     def exposed(self) -> str:
@@ -324,9 +325,7 @@ class OpcUaServer(SourceConnection):
     @property
     def secrets(self) -> dict[str, Path]:
         """The password's file and the private key."""
-        if self.security is None:
-            return {}
-        return {f"security.{key}": getattr(self.security, key) for key in ("password_file", "private_key")}
+        return {} if self.security is None else self.security.secrets
 
 
 class OpcUaTagsConfig(OpcUaServer):

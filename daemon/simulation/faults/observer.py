@@ -214,7 +214,6 @@ class Observer:
     def finish(self) -> None:
         """Bring what was measured into the result."""
         self._result.recovery_s = self._recovery.times_s
-        self._result.not_judged = self._recovery.disturbed
         self._result.twin_um = self._twins.worst_um
 
     # --- what the machine sees --------------------------------------------------------------

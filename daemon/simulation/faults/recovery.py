@@ -167,14 +167,10 @@ class RecoveryWatch:
     ledger: Ledger
     least_confidence: float
     times_s: dict[str, list[float]] = field(default_factory=dict)
-    disturbed: int = 0
-    """Cases that a person or a new incident interrupted before they could be judged."""
     _case: _Case | None = None
 
     def begun(self, kind: str) -> None:
         """Something happens: a case that is not judged yet is put off."""
-        if self._case is not None:
-            self.disturbed += 1
         self._case = None
 
     def over(self, kinds: set[str]) -> None:

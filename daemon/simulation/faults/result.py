@@ -24,7 +24,6 @@ class Result:
     rss_mib: float = 0.0
     lives: int = 0
     incidents: Counter[str] = field(default_factory=Counter)
-    not_judged: int = 0
     twin_um: float = 0.0
     """Farthest from the twin while no violation was found [um]."""
     cycles: int = 0

@@ -44,7 +44,6 @@ class TruthWatch:
     twin: Twin
     worst_um: float = 0.0
     """Farthest from the twin after a way back that was granted [um]."""
-    compared: int = 0
     _reference: str | None = None
     _restarted: bool = False
     _busy_until_s: float = 0.0
@@ -145,6 +144,5 @@ class TruthWatch:
             )
 
     def _note(self, off_um: float, what: str) -> None:
-        self.compared += 1
         self.worst_um = max(self.worst_um, off_um)
         self.ledger.check(self.NAME, not what, what)
