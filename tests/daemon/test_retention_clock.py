@@ -8,9 +8,10 @@ import history_records as make
 import numpy as np
 import pytest
 from history_records import EPOCH_S, SMALL, StillClock
+from tidied_store import packed_here
 
 from config.schema.service import HistoryConfig
-from daemon.history import HistoryReader, HistoryWriter
+from daemon.history import HistoryReader, HistoryWriter, tidying
 from daemon.history.database import connect_reader
 from daemon.history.tidying import LONGEST_UNPROVEN_H, unproven_h
 
@@ -22,6 +23,12 @@ CONFIG = HistoryConfig(
     keep_displacements_days=10.0,
     keep_writes_days=3650.0,
 )
+
+
+@pytest.fixture(autouse=True)
+def no_packing_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has tests of its own (`test_history_packing`), and takes half a second of each housekeeping."""
+    monkeypatch.setattr(tidying, "packed_hours", packed_here)
 
 
 @contextmanager
@@ -58,8 +65,8 @@ async def test_a_clock_that_is_years_ahead_deletes_nothing_over_restarts_too(tmp
         assert "if the clock is wrong" in writer.housekeeping.problem
     with writing(store) as writer:
         record(writer, ahead_s, 24)
-        await writer.request_housekeeping(CONFIG)
         await writer.flushed()
+        await writer.request_housekeeping(CONFIG)
         assert cycles_before(store, EPOCH_S + 3 * DAY_S) == 48, "a day of the wrong clock and a restart prove nothing"
         assert "if the clock is wrong" in writer.housekeeping.problem
         writer._clock.utc_s = EPOCH_S + 49 * HOUR_S

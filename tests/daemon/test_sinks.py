@@ -17,13 +17,13 @@ from click.testing import CliRunner
 from control_rig import machine
 from history_records import EPOCH_S, SMALL, StillClock
 from structlog.testing import capture_logs
-from tidied_store import housekeeping
+from tidied_store import housekeeping, packed_here
 
 from config.schema import Configuration
 from config.schema.service import HistoryConfig
 from config.schema.sinks import SinkConfig
 from daemon.cli import main
-from daemon.history import HistoryReader, HistoryWriter
+from daemon.history import HistoryReader, HistoryWriter, tidying
 from daemon.history.cursors import Cursor, cursor_path
 from daemon.history.database import HistoryError, connect_reader
 from daemon.housekeeping.jobs import job_snapshots
@@ -36,6 +36,12 @@ from drivers.contract import LinkError
 
 DAY_S = 86_400.0
 SINK = SinkConfig.model_validate({"name": "plant", "driver": "postgresql", "postgresql": {"host": "db"}})
+
+
+@pytest.fixture(autouse=True)
+def no_packing_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has tests of its own (`test_history_packing`), and takes half a second of each housekeeping."""
+    monkeypatch.setattr(tidying, "packed_hours", packed_here)
 
 
 class Taker:
