@@ -26,8 +26,6 @@ from daemon.monitor.accounts import read_accounts
 from drivers import registry
 from drivers.clock import Clock
 from drivers.contract import Capability, DriverError
-from drivers.opcua.certificates import load_certificate
-from drivers.opcua.server.settings import Trusted, load_identity
 from models.errors import RefusedInputError
 
 CYCLES_WAITED = 2.5
@@ -62,6 +60,7 @@ def _tried(subject: str, files: list[Path], look: Callable[[], str]) -> Finding:
 
 def _monitor(certificate: Path, key: Path) -> str:
     from daemon.monitor.web.server import Certificate  # noqa: PLC0415 (a web server is loaded only where there is one)
+    from drivers.opcua.certificates import load_certificate  # noqa: PLC0415 (nor is OPC UA, a third of the start)
 
     found = load_certificate(certificate)
     try:
@@ -72,6 +71,8 @@ def _monitor(certificate: Path, key: Path) -> str:
 
 
 def _tags(section: OpcUaServerConfig) -> str:
+    from drivers.opcua.server.settings import Trusted, load_identity  # noqa: PLC0415
+
     identity, trusted = load_identity(section.certificate, section.private_key), Trusted(section.trusted_clients)
     trusted.find(b"")
     if trusted.problems:
