@@ -37,7 +37,10 @@ def test_the_share_of_each_state_comes_from_the_changes() -> None:
     ("reason", "advice"),
     [
         ("no link to the CNC", "play it again at --speed 150"),
-        ("held too long: temperatures are stale (468 s old)", "play it again at --speed 150"),
+        (
+            "held too long, so a person must switch it on again; the reason then: temperatures are stale (468 s old)",
+            "play it again at --speed 150",
+        ),
         ("reference of request 2 refused: no temperature has arrived in the last 60 s", "play it again at --speed 150"),
         ("no valid reference: the NC program has not passed its positioning", "play it again at --speed 150"),
         ("confidence 0.10 is below 0.70 (outside the domain)", "record 2 runs like it"),

@@ -150,7 +150,9 @@ def test_held_too_long_retreats_to_the_baseline_and_is_no_longer_wanted():
     assert memory.state is OutputState.OFF
     assert memory.wanted == (False, False)
     assert not command.compensation_um.any()
-    assert memory.reason.startswith("held too long: temperatures are stale"), "who comes later must read why it is off"
+    assert memory.reason.startswith(
+        "held too long, so a person must switch it on again; the reason then: temperatures are stale"
+    ), "who comes later must read what held, that it is past, and what to do"
 
 
 def test_retreat_stays_at_a_baseline_until_the_reference_ends_and_then_goes_to_zero():

@@ -347,7 +347,10 @@ async def test_what_happened_stands_on_the_history_in_the_time_of_the_browser_an
 
 
 async def test_what_has_held_too_long_is_to_be_switched_on_again_whatever_else_is_to_be_done(tmp_path):
-    sentence = "held too long: no valid reference: the NC program has not passed its positioning"
+    sentence = (
+        "held too long, so a person must switch it on again; the reason then: no valid reference: the NC program has "
+        "not passed its positioning"
+    )
     asked = f"import('/messages.js').then(async (all) => {{ await all.load(); return all.remedies('{sentence}'); }})"
     async with monitor(tmp_path) as bench, overview(f"http://127.0.0.1:{bench.port}/") as seen:
         first, then = await seen.page.evaluate(asked)
