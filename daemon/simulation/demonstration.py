@@ -51,6 +51,20 @@ def switch_on(running: RunningSimulation, patience_s: float = 20.0) -> None:
             time.sleep(0.1)
 
 
+def switch_on_again(running: RunningSimulation, status: dict[str, Any]) -> bool:
+    """Switch on, as an operator would, what the daemon took back because it had held for too long; tell whether it did.
+
+    Where a computer stands still for some seconds, the machine is without temperatures for minutes.
+    """
+    if not status["output"]["reason"].startswith("held too long"):
+        return False
+    try:
+        running.client.ask("enable")
+    except RequestError:
+        return False
+    return True
+
+
 def watch(running: RunningSimulation, until_s: float, look: Callable[[dict[str, Any]], None], period_s: float) -> None:
     """Look at the daemon's status every `period_s` [s of the wall clock] until the simulated time is over."""
     while running.time_s < until_s:

@@ -229,7 +229,8 @@ def _enter(
         Condition.BAD_INPUT: why,
         Condition.READY: "following the estimate",
         Condition.NONE_WANTED: "switched off",
-        Condition.HELD_TOO_LONG: f"held too long, so a person must switch it on again; the reason then: {memory.reason}",
+        Condition.HELD_TOO_LONG: "held too long, so a person must switch it on again; the reason then: "
+        f"{memory.reason}",
         Condition.RETREATED: memory.reason,
     }.get(condition, str(condition))
     entered = replace(memory, state=target, since_s=inputs.now_s, reason=reason)

@@ -1,10 +1,11 @@
 """The demonstration on a computer that is too slow for it: said, with a speed that it may keep."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from daemon.simulation.demonstration import result, too_slow
+from daemon.simulation.demonstration import result, switch_on_again, too_slow
 
 
 @pytest.mark.parametrize(
@@ -70,3 +71,23 @@ def test_a_daemon_that_stood_for_a_cycle_of_the_machine_s_time_is_why_the_output
     said = result(final_of({"bed": 900}), status, 60.0, 5.0)[1]
     assert said[-1] == "the output ended in FAULT: for the test"
     assert (said[:-1] == [too_slow(0.41, speed=60.0, cycle_period_s=5.0)]) == told == (len(said) == 2)
+
+
+@pytest.mark.parametrize(
+    ("reason", "again"),
+    [
+        (
+            "held too long, so a person must switch it on again; the reason then: temperatures are stale (612 s old)",
+            True,
+        ),
+        ("switched off", False),
+        ("following the estimate", False),
+    ],
+)
+def test_what_was_held_too_long_is_switched_on_again_and_what_a_person_switched_off_stays_off(
+    reason: str, again: bool
+) -> None:
+    asked: list[str] = []
+    running: Any = SimpleNamespace(client=SimpleNamespace(ask=asked.append))
+    assert switch_on_again(running, {"output": {"state": "OFF", "reason": reason}}) == again
+    assert asked == ["enable"] * again

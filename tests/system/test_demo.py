@@ -5,10 +5,13 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from daemon.history import HistoryReader
 from daemon.monitor.control_client import ControlClient, DaemonUnreachableError
 from daemon.simulation.processes import free_port
 
@@ -22,30 +25,59 @@ def toolpoint(*words: object) -> "subprocess.Popen[str]":
     return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
 
 
-def wait_until_on(folder: Path) -> None:
+def wait_until(folder: Path, reached: Callable[[dict[str, Any]], bool]) -> None:
     deadline_s = time.monotonic() + PATIENCE_S
     while time.monotonic() < deadline_s:
         try:
             client = ControlClient(folder / "control.sock")
-            on = client.ask("status")["axes"]["z"]["wanted"]
+            status = client.ask("status")
             client.close()
         except DaemonUnreachableError:
-            on = False
-        if on:
+            status = None
+        if status is not None and reached(status):
             return
-        time.sleep(0.2)
-    raise TimeoutError("the demonstration was not switched on")
+        time.sleep(0.05)
+    raise TimeoutError(f"the demonstration did not come so far: {status}")
+
+
+def is_on(status: dict[str, Any]) -> bool:
+    return bool(status["axes"]["z"]["wanted"])
+
+
+def simulator_of(demo: int) -> int:
+    """Return the process of the simulated machine, a child of the demonstration."""
+    children = Path(f"/proc/{demo}/task/{demo}/children").read_text(encoding="ascii").split()
+    (found,) = (int(pid) for pid in children if b"simulate" in Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0"))
+    return found
 
 
 def test_ctrl_c_before_the_time_is_over_leaves_the_result_and_no_logs(tmp_path: Path) -> None:
     with toolpoint("demo", "--minutes", 600, "--speed", 20, "--web-port", free_port(), "--directory", tmp_path) as demo:
-        wait_until_on(tmp_path)
+        wait_until(tmp_path, is_on)
         time.sleep(2.0)
         os.killpg(demo.pid, signal.SIGINT)
         said = demo.communicate(timeout=PATIENCE_S)[1]
     assert demo.returncode == 0, said
     assert "of the machine's time; the output is A" in said and "writes read back and equal" in said
     assert "ended with status" not in said and "logs are in" not in said
+
+
+def test_a_machine_that_stood_still_for_long_is_switched_on_again_and_the_screen_says_so(tmp_path: Path) -> None:
+    """A busy computer that stood still for twelve seconds left the demonstration off for good."""
+    words = ("demo", "--minutes", 6000, "--speed", 60, "--web-port", free_port(), "--directory", tmp_path)
+    with toolpoint(*words) as demo:
+        wait_until(tmp_path, lambda status: status["output"]["state"] == "ACTIVE")
+        simulator = simulator_of(demo.pid)
+        os.kill(simulator, signal.SIGSTOP)
+        wait_until(tmp_path, lambda status: not is_on(status) or "switch it on again" in str(status["output"]))
+        os.kill(simulator, signal.SIGCONT)
+        wait_until(tmp_path, is_on)
+        os.killpg(demo.pid, signal.SIGINT)
+        said = demo.communicate(timeout=PATIENCE_S)[1]
+    assert demo.returncode == 0, said
+    with HistoryReader(tmp_path / "history.sqlite") as reader:
+        asked = [event.text for event in reader.events(0.0, 2.0**40) if event.kind == "request"]
+    assert asked == ["enable y, z", "enable y, z"]
 
 
 def test_without_a_view_and_with_sensors_on_another_wire_the_result_is_told_too(tmp_path: Path) -> None:

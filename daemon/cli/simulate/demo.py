@@ -17,7 +17,7 @@ from daemon.cli.options import EXISTING, POSITIVE, FiniteFloat, directory_option
 from daemon.monitor.control_client import DaemonUnreachableError
 from daemon.simulation import SimulationError
 from daemon.simulation.boxes import put_on
-from daemon.simulation.demonstration import Trail, result, settle, switch_on, watch
+from daemon.simulation.demonstration import Trail, result, settle, switch_on, switch_on_again, watch
 from daemon.simulation.processes import (
     RunningSimulation,
     folder_for,
@@ -153,18 +153,19 @@ def _show(running: RunningSimulation, until_s: float, trail: Trail) -> dict[str,
 
     from daemon.monitor.view import status_view, truth_panel
 
-    seen = running.client.ask("status")
+    seen, again = running.client.ask("status"), 0
     port = running.configuration.service.http_port
     with Live(console=Console(), screen=True, auto_refresh=False) as live:
 
         def look(status: dict[str, Any]) -> None:
-            nonlocal seen
+            nonlocal seen, again
             seen = status
+            again += switch_on_again(running, status)
+            held = f" · held too long and switched on again: {again} times" if again else ""
             report = trail.take(running.reports)
             beside = [truth_panel(report, trail.axes)] if report and "truth" in report else []
-            live.update(
-                status_view(status, beside, footer=f"in a browser: {page_address(port)} · Ctrl-C ends"), refresh=True
-            )
+            footer = f"in a browser: {page_address(port)} · Ctrl-C ends{held}"
+            live.update(status_view(status, beside, footer=footer), refresh=True)
 
         with contextlib.suppress(KeyboardInterrupt):
             watch(running, until_s, look, LIVE_PERIOD_S)
