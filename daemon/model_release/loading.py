@@ -143,7 +143,9 @@ def _loaded(
         unreleased = f"{unreleased}; {refused}" if unreleased else f"{path}: {refused}"
         if not lenient:
             return LoadedModel(model=None, inhibit=unreleased, record=record)
-    warning = f"allow_writable_model_directory lets it pass: {unreleased}" if unreleased else ""
+    warning = unreleased and (
+        f"right for a simulation only, on a real machine take allow_writable_model_directory out: {unreleased}"
+    )
     return LoadedModel(
         model=model, inhibit="", record=record, sha256=sha256_of(content), signed_by=signed_by, warning=warning
     )

@@ -357,6 +357,18 @@ async def test_what_has_held_too_long_is_to_be_switched_on_again_whatever_else_i
     assert "switch on again" in first and "position" in then
 
 
+async def test_a_write_that_a_lost_connection_took_is_to_be_looked_up_and_is_no_failure_for_ever(tmp_path):
+    async with monitor(tmp_path) as bench, chromium() as browser:
+        await bench.rig.active()
+        bench.rig.control.writer.counts["sent"] += 1
+        await bench.rig.turn()
+        seen = await watched(browser, f"http://127.0.0.1:{bench.port}/")
+        await seen.open("overview")
+        line = seen.page.locator("ul.checks li", has_text="writes read back equal")
+        await expect(line).to_have_class("wait")
+        await expect(line).to_contain_text("what became of the others: History, by outcome")
+
+
 async def test_a_link_that_is_back_says_when_it_was_lost(tmp_path):
     lost = {"attempts": 2, "failures": 1, "losses": 1, "last_problem": "no answer", "last_problem_utc_s": 1.75e9}
     async with monitor(tmp_path) as bench, chromium() as browser:

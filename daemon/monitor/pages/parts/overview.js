@@ -123,10 +123,10 @@ function model({ model: found }) {
 
 const short = (name) => (name && name.length > 26 ? `${name.slice(0, 24)}…` : name ?? "");
 
-function writes({ writes: count }) {
+function writes({ writes: count, state: now }) {
   if (!count.sent) return ["wait", "Nothing was written yet", ""];
-  const all = count.sent === count.verified;
-  return [all ? "yes" : "no", `${count.verified} of ${count.sent} writes read back equal`, count.refused ? `${count.refused} were refused` : ""];
+  const all = count.sent === count.verified, words = `${count.verified} of ${count.sent} writes read back equal`;
+  return [all ? "yes" : now === "FAULT" ? "no" : "wait", words, all ? "" : `${count.refused ? `${count.refused} were refused; ` : ""}what became of the others: History, by outcome`];
 }
 
 function applied(status) {
