@@ -30,7 +30,7 @@ class Bench:
     def __init__(self) -> None:
         self.ledger = Ledger(OperationsWatch.NAMES)
         self.watch = OperationsWatch(self.ledger, MACROS.request, 0.7)
-        self.watch.heard(CALM_FROM_S - 1.0, claims(), 0.0)
+        self.watch.heard(CALM_FROM_S - 1.0, claims(), dict)
 
     def checked(self, name: str) -> tuple[int, int]:
         count = self.ledger.counts[name]
@@ -51,7 +51,7 @@ def test_a_request_that_is_answered_in_time_is_right_and_a_probe_is_expected_in_
 
 def test_a_request_without_an_answer_is_found(bench: Bench) -> None:
     bench.watch.asked(request())
-    bench.watch.heard(CALM_FROM_S + ANSWERED_WITHIN_S + 0.1, claims(), 0.0)
+    bench.watch.heard(CALM_FROM_S + ANSWERED_WITHIN_S + 0.1, claims(), dict)
     assert bench.checked("request_answered") == (1, 1)
 
 
@@ -68,7 +68,7 @@ def test_an_answer_to_nothing_is_found(bench: Bench) -> None:
 def test_a_reference_that_a_poll_has_ended_must_go(bench: Bench, after: str | None, violated: int) -> None:
     bench.watch.begun(CALM_FROM_S, Happening(kind=Incident.WORK_OFFSET, at_s=CALM_FROM_S, duration_s=30.0))
     bench.watch.polled(CALM_FROM_S + 2.0, retreat_block=False)
-    bench.watch.heard(CALM_FROM_S + 2.0 + ENDED_WITHIN_S + 0.1, claims(reference=after), 0.0)
+    bench.watch.heard(CALM_FROM_S + 2.0 + ENDED_WITHIN_S + 0.1, claims(reference=after), dict)
     assert bench.checked("reference_ends") == (1, violated)
 
 
@@ -77,8 +77,8 @@ def test_under_zero_first_a_reference_needs_the_offset_out(bench: Bench, applied
     bench.watch.begun(0.0, Happening(kind=Incident.OTHER_POLICY, at_s=0.0, duration_s=5.0, target=0))
     bench.watch.polled(CALM_FROM_S, retreat_block=True)
     assert bench.watch.retreating
-    bench.watch.heard(CALM_FROM_S + 1.0, claims(reference=None), applied_um)
-    bench.watch.heard(CALM_FROM_S + 2.0, claims(reference="r2"), applied_um)
+    bench.watch.heard(CALM_FROM_S + 1.0, claims(reference=None), lambda: {"x": 0.0, "z": -applied_um})
+    bench.watch.heard(CALM_FROM_S + 2.0, claims(reference="r2"), lambda: {"x": 0.0, "z": -applied_um})
     assert bench.checked("zero_first_at_zero") == (1, violated)
     assert not bench.watch.retreating
 

@@ -236,7 +236,7 @@ class Judged:
         self.say()
 
     def say(self, *, disturbed: bool = False) -> None:
-        self.watch.heard(self.now_s, self.claims, APPLIED, disturbed=disturbed)
+        self.watch.heard(self.now_s, self.claims, lambda: APPLIED, disturbed=disturbed)
 
     def stand(self, duration_s: float, *, guard: bool = True, says: bool = True, **applied: float) -> int:
         """Let the tool stand there; return how often that was wrong."""

@@ -112,11 +112,6 @@ class TruthKeeper:
         )
 
     @property
-    def applied_um(self) -> float:
-        """The largest amount that the NC applies on an axis [um]."""
-        return max(map(abs, self._world.machine.guard.applied_um.values()), default=0.0)
-
-    @property
     def echo_known(self) -> bool:
         """The guard's echo of every axis can be read."""
         return None not in self._echoes()
@@ -271,7 +266,7 @@ class Observer:
             del self.blocks[:-KEPT_BLOCKS]
         request = self._map.request
         if taken and request is not None and group[0][0] == request.acknowledge:
-            self._twins.answered(self.operations.latest, group[0][1], self.world.machine.guard.applied_um)
+            self._twins.answered(self.operations.latest, group[0][1], self._applied_um())
             self._writes.mark(time_s, self.operations.answered(time_s, group[0][1]))
 
     # --- what the daemon says ---------------------------------------------------------------
@@ -296,7 +291,7 @@ class Observer:
         before = self.claims
         self.claims = claims
         if claims is None:
-            self._twins.heard(time_s, None, {}, disturbed=True)
+            self._twins.heard(time_s, None, self._applied_um, disturbed=True)
             return
         if self.follows_since_s is None:
             self.follows_since_s = time_s
@@ -306,12 +301,15 @@ class Observer:
             self.acknowledging = False
         self._writes.heard(time_s, claims)
         self._truth.heard(time_s, claims)
-        self.operations.heard(time_s, claims, self._truth.applied_um)
-        self._twins.heard(time_s, claims, self.world.machine.guard.applied_um, disturbed=bool(self.world.active))
+        self.operations.heard(time_s, claims, self._applied_um)
+        self._twins.heard(time_s, claims, self._applied_um, disturbed=bool(self.world.active))
         self._writes.input_is(time_s, good=self._truth.temperatures(time_s), echo_known=self._truth.echo_known)
         self._note_good_input(time_s)
         if self._recovery.open:
             self._recovery.look(time_s, self._truth.at(time_s, claims), claims)
+
+    def _applied_um(self) -> dict[str, float]:
+        return self.world.machine.guard.applied_um
 
     def _note_good_input(self, time_s: float) -> None:
         """Begin to count when the first good input has arrived; what the daemon claims is still from before it."""

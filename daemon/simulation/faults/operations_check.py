@@ -1,5 +1,6 @@
 """Checks requests of the NC program, the policy zero_first, an exchange of models, and the end of a reference."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from config.schema.cnc import MacroMapConfig, RequestMacrosConfig
@@ -157,16 +158,17 @@ class OperationsWatch:
 
     # --- what the daemon says ---------------------------------------------------------------
 
-    def heard(self, time_s: float, claims: Claims, applied_um: float) -> None:
-        """Take what the daemon says of itself, and the largest value that the NC applies on an axis [um]."""
+    def heard(self, time_s: float, claims: Claims, applied_um: Callable[[], Mapping[str, float]]) -> None:
+        """Take what the daemon says of itself; `applied_um` tells what the NC applies per axis [um]."""
         if claims.reference != self._reference:
             self._reference = claims.reference
             if claims.reference is not None:
                 self._reference_s = time_s
                 self._by_hand = time_s - self._asked_by_hand_s <= HAND_S
                 if self.zero_first and time_s > self._busy_until_s:
-                    zero = applied_um <= AT_ZERO_UM
-                    what = "" if zero else f"{time_s:.1f} s: a reference with {applied_um:.2f} um applied"
+                    most_um = max(map(abs, applied_um().values()), default=0.0)
+                    zero = most_um <= AT_ZERO_UM
+                    what = "" if zero else f"{time_s:.1f} s: a reference with {most_um:.2f} um applied"
                     self._ledger.check("zero_first_at_zero", zero, what)
                 self.retreating = False
         if self._ended is not None and (time_s - self._ended[1] > ENDED_WITHIN_S or claims.reference != self._ended[0]):

@@ -1,7 +1,7 @@
 """Judges by truth: after bad input has passed the tool stands within 1 um of the twin, or the output says otherwise."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from config.schema import Configuration
@@ -68,8 +68,10 @@ class TruthWatch:
         """Something goes wrong until then, or a person does something."""
         self._busy_until_s = max(self._busy_until_s, until_s)
 
-    def heard(self, time_s: float, claims: Claims | None, applied_um: Mapping[str, float], *, disturbed: bool) -> None:
-        """Take what the daemon says of itself; `disturbed`: something goes wrong now."""
+    def heard(
+        self, time_s: float, claims: Claims | None, applied_um: Callable[[], Mapping[str, float]], *, disturbed: bool
+    ) -> None:
+        """Take what the daemon says of itself; `applied_um` tells what the NC applies [um]."""
         if disturbed:
             self.busy(time_s)
         if claims is None:
@@ -79,7 +81,7 @@ class TruthWatch:
             self._reference = claims.reference
             if self._restarted:
                 self.twin.forget(but_for=claims.tools)
-            self.twin.reference(time_s, claims.model, applied_um)
+            self.twin.reference(time_s, claims.model, applied_um())
         self._restarted &= claims.reference is None
         if claims.model is not None and claims.estimate_reference == claims.reference is not None:
             self.twin.model(time_s, claims.model)

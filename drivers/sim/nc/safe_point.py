@@ -79,6 +79,8 @@ class SafePointApplication:
                 fanuc.positions_mm[self._places[name]] = slope.pivot_mm
             self.control = fanuc
             self.interpreter = Interpreter(_compiled(self.text), fanuc)
+        self._remembered = frozenset() if guard.dialect == "sinumerik" else frozenset(slopes)
+        """Slopes that only the guard's memory knows: this control has offsets alone."""
         self._own_mm = dict.fromkeys(axes, 0.0)
         self.axes = tuple(axes)
 
@@ -171,11 +173,6 @@ class SafePointApplication:
         """Switch the control off and on: what ran is gone, offsets stay."""
         self.interpreter.reset()
         self.control.power_on()
-
-    @property
-    def _remembered(self) -> set[str]:
-        """Slopes that only the guard's memory knows: this control has offsets alone."""
-        return set() if isinstance(self.control, SinumerikControl) else set(self._slopes)
 
     def _external_mm(self, axis: str) -> float:
         place = self._places[axis]
