@@ -16,10 +16,11 @@ import random
 import selectors
 import sys
 import time
+from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Callable, Coroutine, Sequence
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -41,32 +42,67 @@ UNTIL_BAD = 20
 """A link lives for so many exchanges at most before it is disturbed, so that every request is met."""
 
 
-class Counted(Protocol):
-    """What a fuzz counts."""
+class LinkFuzz(ABC):
+    """A control behind a disturbed wire; each macro variable holds its number and the count of the exchange."""
 
-    frames: Counter[str]
-    taken: int
-    wrong: int
-    nc: ScriptedNc
+    stamps = 10_000_000
+    """So many exchanges are told from each other."""
 
-    async def one_link(self, count: int) -> None: ...
+    def __init__(self, seed: int) -> None:
+        self._random = random.Random(seed)
+        self.nc = ScriptedNc()
+        self._past: deque[bytes] = deque(maxlen=40)
+        self.frames = Counter[str]()
+        self.disturb = False
+        self.wrong = 0
+        self.taken = 0
 
-    def spoil_requests(self, count: int) -> None: ...
+    @abstractmethod
+    def answers(self, request: bytes) -> list[bytes | None]:
+        """Return what comes back for the bytes of a request; None: the connection ends there."""
+
+    @abstractmethod
+    def linked(self, count: int) -> Cnc:
+        """Return a driver on a link of its own."""
+
+    @abstractmethod
+    def spoil_requests(self, count: int) -> None:
+        """Give the control requests that no client would send."""
+
+    async def one_link(self, count: int) -> None:
+        """Drive a link until it is lost."""
+        cnc = self.linked(count)
+        self._past.clear()  # TCP carries nothing from one connection into the next
+        bad = self._random.randrange(UNTIL_BAD)
+        for k in range(UNTIL_BAD + 1):
+            self.disturb = k >= bad
+            stamp = float((count * 100 + k) % self.stamps)
+            for number in NUMBERS:
+                self.nc.macros.values[number] = held(stamp, number)
+            try:
+                found = await cnc.read_macros(NUMBERS)
+            except DriverError:
+                break
+            self.taken += len(found)
+            self.wrong += sum(found[number] != held(stamp, number) for number in NUMBERS)
+        await cnc.close()
 
 
-AnyFuzz = TypeVar("AnyFuzz", bound=Counted)
+AnyFuzz = TypeVar("AnyFuzz", bound=LinkFuzz)
 
 
 class LoopTransport(asyncio.Transport):
     """Stands where the socket is: what the link sends is answered at once, disturbed as the seed says."""
 
-    def __init__(self, fuzz: "Fuzz", link: FocasLink) -> None:
+    def __init__(self, fuzz: LinkFuzz, link: asyncio.Protocol) -> None:
         super().__init__()
         self._fuzz, self._link, self._ended = fuzz, link, False
 
     def write(self, data: Any) -> None:
         for answer in self._fuzz.answers(bytes(data)):
-            if not self._ended:
+            if answer is None:
+                self.abort()
+            elif not self._ended:
                 self._link.data_received(answer)
 
     def abort(self) -> None:
@@ -106,22 +142,16 @@ class SkippingLoop(asyncio.SelectorEventLoop):
         return super().time() + self._waits.skipped_s
 
 
-class Fuzz:
-    """A control behind a disturbed wire; each macro variable holds its number and the count of the exchange."""
+class Fuzz(LinkFuzz):
+    """A simulated FOCAS2 server."""
+
+    stamps = MOST_EXACT
 
     def __init__(self, seed: int) -> None:
-        self._random = random.Random(seed)
-        self.nc = ScriptedNc()
+        super().__init__(seed)
         self._responder = FocasResponder(self.nc, 4120)
-        self._past: deque[bytes] = deque(maxlen=40)
-        self.frames = Counter[str]()
-        self.disturb = False
-        self.expected: dict[int, float] = {}
-        self.wrong = 0
-        self.taken = 0
 
-    def answers(self, request: bytes) -> list[bytes]:
-        """Return what comes back for the bytes of a request."""
+    def answers(self, request: bytes) -> list[bytes | None]:
         (frame,) = FrameBuffer().feed(request)
         if frame.kind == Kind.CLOSE:
             return [encode_frame(Frame(Kind.CLOSE, Direction.ANSWER))]
@@ -145,29 +175,14 @@ class Fuzz:
             return [bytes(spoiled), b"\0"]
         return [answer, self._random.randbytes(self._random.randrange(1, 40))] if kind == "tail" else [answer]
 
-    async def one_link(self, count: int) -> None:
-        """Drive a link until it is lost."""
+    def linked(self, count: int) -> Cnc:
         cnc = FocasCnc(cnc_config(focas={"host": "x"}, timeout_s=0.05), SystemClock())
         link = FocasLink("x")
         link.connection_made(LoopTransport(self, link))
-        self._past.clear()  # TCP carries nothing from one connection into the next
         cnc._link, cnc._state = link, StateRequest(cnc._focas, SystemInfo("", False))
-        bad = self._random.randrange(UNTIL_BAD)
-        for k in range(UNTIL_BAD + 1):
-            self.disturb = k >= bad
-            stamp = float((count * 100 + k) % MOST_EXACT)
-            for number in NUMBERS:
-                self.nc.macros.values[number] = held(stamp, number)
-            try:
-                found = await cnc.read_macros(NUMBERS)
-            except DriverError:
-                break
-            self.taken += len(found)
-            self.wrong += sum(found[number] != held(stamp, number) for number in NUMBERS)
-        await cnc.close()
+        return cnc
 
     def spoil_requests(self, count: int) -> None:
-        """Give the control requests that no client would send."""
         for _ in range(count):
             body = bytearray(self._random.randbytes(self._random.randrange(60)))
             if self._random.random() < 0.7:  # a whole block with strange content
@@ -222,7 +237,7 @@ async def bench_block(writes: int) -> None:
     await server.stop()
 
 
-def _without_waiting(fuzzed: Coroutine[Any, Any, Counted]) -> Counted:
+def _without_waiting(fuzzed: Coroutine[Any, Any, LinkFuzz]) -> LinkFuzz:
     with asyncio.Runner(loop_factory=SkippingLoop) as runner:
         return runner.run(fuzzed)
 
@@ -235,7 +250,7 @@ def _resident_kb() -> float:
 def main(
     text: str | None,
     blocks: Callable[[int], Coroutine[Any, Any, None]],
-    fuzzed: Callable[[int, int], Coroutine[Any, Any, Counted]],
+    fuzzed: Callable[[int, int], Coroutine[Any, Any, LinkFuzz]],
     writes: int,
 ) -> None:
     """Run both, as the command line says."""

@@ -7,67 +7,33 @@ with those of another client, cut or with flipped bits, and requests reach the c
 that were taken for a macro variable that does not hold them.
 """
 
-import asyncio
-import random
 import sys
-from collections import Counter, deque
 from pathlib import Path
-from typing import Any
 
 sys.path[:0] = [str(Path(__file__).resolve().parent), str(Path(__file__).resolve().parent.parent / "support")]
 
-from bench_focas import exchange, held, main, time_blocks  # noqa: E402
+from bench_focas import NUMBERS, LinkFuzz, LoopTransport, exchange, main, time_blocks  # noqa: E402
 from scripted_machine import ScriptedNc, cnc_config  # noqa: E402
 
 from drivers.clock import SystemClock  # noqa: E402
-from drivers.contract import DriverError  # noqa: E402
+from drivers.contract import Cnc  # noqa: E402
 from drivers.haas.cnc import HaasCnc, HaasLink  # noqa: E402
 from drivers.haas.codec import HaasFormatError, LineBuffer  # noqa: E402
 from drivers.sim.wires.haas_server import HaasResponder, SimulatedHaasServer  # noqa: E402
 
-NUMBERS = (500, 501, 502, 503, 505)
 KINDS = ("right", "late", "twice", "foreign", "cut", "bits", "tail")
-UNTIL_BAD = 20
-"""A link lives for so many exchanges at most before it is disturbed, so that every query is met."""
 HEAD = 12
 """Bits are flipped in the label and the number: a value carries no checksum but TCP's."""
 
 
-class LoopTransport(asyncio.Transport):
-    """Stands where the socket is: what the link sends is answered at once, disturbed as the seed says."""
-
-    def __init__(self, fuzz: "Fuzz", link: HaasLink) -> None:
-        super().__init__()
-        self._fuzz, self._link, self._ended = fuzz, link, False
-
-    def write(self, data: Any) -> None:
-        for answer in self._fuzz.answers(bytes(data)):
-            if answer is None:
-                self.abort()
-            elif not self._ended:
-                self._link.data_received(answer)
-
-    def abort(self) -> None:
-        if not self._ended:
-            self._ended = True
-            self._link.connection_lost(None)
-
-
-class Fuzz:
-    """A control behind a disturbed wire; each macro variable holds its number and the count of the exchange."""
+class Fuzz(LinkFuzz):
+    """A simulated MDC server."""
 
     def __init__(self, seed: int) -> None:
-        self._random = random.Random(seed)
-        self.nc = ScriptedNc()
+        super().__init__(seed)
         self.responder = HaasResponder(self.nc, cnc_config(haas={"host": "x"}).haas)  # type: ignore[arg-type]
-        self._past: deque[bytes] = deque(maxlen=40)
-        self.frames = Counter[str]()
-        self.disturb = False
-        self.wrong = 0
-        self.taken = 0
 
     def answers(self, request: bytes) -> list[bytes | None]:
-        """Return what comes back for a line; None: the connection ends there."""
         (line,) = LineBuffer().feed(request)
         answer = self.responder.answer(line)
         kind = self._random.choice(KINDS) if self.disturb else "right"
@@ -89,30 +55,15 @@ class Fuzz:
             return [bytes(spoiled), None]
         return [answer, self._random.randbytes(self._random.randrange(1, 40))] if kind == "tail" else [answer]
 
-    async def one_link(self, count: int) -> None:
-        """Drive a link until it is lost."""
+    def linked(self, count: int) -> Cnc:
         self.responder.numbered = bool(count % 3)
         cnc = HaasCnc(cnc_config(haas={"host": "x"}, timeout_s=0.05), SystemClock())
         link = HaasLink("x")
         link.connection_made(LoopTransport(self, link))
-        self._past.clear()  # TCP carries nothing from one connection into the next
         cnc._link = link
-        bad = self._random.randrange(UNTIL_BAD)
-        for k in range(UNTIL_BAD + 1):
-            self.disturb = k >= bad
-            stamp = float(count % 100_000 * 100 + k)
-            for number in NUMBERS:
-                self.nc.macros.values[number] = held(stamp, number)
-            try:
-                found = await cnc.read_macros(NUMBERS)
-            except DriverError:
-                break
-            self.taken += len(found)
-            self.wrong += sum(found[number] != held(stamp, number) for number in NUMBERS)
-        await cnc.close()
+        return cnc
 
     def spoil_requests(self, count: int) -> None:
-        """Give the control requests that no client would send."""
         for _ in range(count):
             data = bytearray(self._random.randbytes(self._random.randrange(30)))
             if self._random.random() < 0.7:

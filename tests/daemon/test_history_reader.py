@@ -1,6 +1,5 @@
 """The reader: every kind of record comes back as it went in, raw or packed, while the daemon writes."""
 
-import os
 import sqlite3
 import tempfile
 from collections.abc import Callable, Iterator
@@ -12,6 +11,7 @@ import history_records as make
 import numpy as np
 import pytest
 from history_records import EPOCH_S, SMALL, StillClock
+from other_user import OTHER, as_root, as_user
 from tidied_store import housekeeping
 
 from config.schema.service import HistoryConfig
@@ -191,9 +191,8 @@ def test_reading_beside_a_writer_and_it_is_read_only(tmp_path: Path) -> None:
     writer.close()
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can turn into a user who may not write the store")
+@as_root
 def test_store_at_rest_is_read_by_a_user_who_may_not_write() -> None:
-    nobody = 65534
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "h.sqlite"
         writer = HistoryWriter(path, clock=StillClock(), machine=SMALL)
@@ -201,22 +200,7 @@ def test_store_at_rest_is_read_by_a_user_who_may_not_write() -> None:
         writer.event("note", "one")
         writer.close()
         Path(folder).chmod(0o755)
-        receive, send = os.pipe()
-        child = os.fork()
-        if child == 0:
-            try:
-                os.setgroups([])
-                os.setresgid(nobody, nobody, nobody)
-                os.setresuid(nobody, nobody, nobody)
-                os.write(send, HistoryReader(path).events(0, EPOCH_S + 1)[0].text.encode())
-            except BaseException as error:
-                os.write(send, repr(error).encode())
-            finally:
-                os._exit(0)
-        os.close(send)
-        os.waitpid(child, 0)
-        assert os.read(receive, 1000) == b"one"
-        os.close(receive)
+        assert as_user(OTHER, lambda: HistoryReader(path).events(0, EPOCH_S + 1)[0].text) == "one"
 
 
 @pytest.mark.parametrize("table", ["writes", "temperature_cycles"])
