@@ -9,6 +9,7 @@ left-out runs were predicted, the mean goes over to a ridge.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -25,8 +26,6 @@ from models.thermal.solution import Solution
 FAMILY = "gaussian"
 FADED_DEVIATION = 2.0
 """At this many times the deviation up to which left-out runs were predicted, the ridge is all that counts."""
-TEST_TOLERANCE_UM = 1e-2
-"""Test vectors are met within this [um]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -161,6 +160,8 @@ class Mixture:
 class GaussianModel(LinearModel):
     """Gaussian processes, or their mean with ridges, as the daemon loads them."""
 
+    test_tolerance_um: ClassVar[float] = 1e-2
+    """Within what its test vectors are met [um]: the deviation is a difference of sums in single precision."""
     mixture: Mixture
 
     def __post_init__(self) -> None:
@@ -183,11 +184,6 @@ class GaussianModel(LinearModel):
     def shares(self) -> FloatArray:
         """How much the linear part of each solution counts, shape (n_solutions,)."""
         return self.mixture.shares
-
-    @property
-    def test_tolerance_um(self) -> float:
-        """Within what its test vectors are met [um]: the deviation is a difference of sums in single precision."""
-        return TEST_TOLERANCE_UM
 
     def error_since_um(
         self, features: FloatArray, reference: FloatArray, elapsed_min: float | FloatArray

@@ -5,6 +5,7 @@ reference, telescoped, is the one without lags.
 """
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -15,9 +16,6 @@ from models.thermal.features import IntArray, Layout
 from models.thermal.sensor_watch import SensorWatch
 from models.thermal.solution import Solution
 from models.thermal.start import StartDeviation
-
-TEST_TOLERANCE_UM = 1e-6
-"""Test vectors are met within this [um]; summation order differs between computers."""
 
 CHANNEL_SCORES = "held_out_relative_rmse_by_channel"
 """Hyper-parameter: RMSE with / without the model on what was left out, of each channel in the model's order."""
@@ -80,6 +78,8 @@ class LinearParameters:
     Raises ModelError when shapes, names or numbers do not fit together, or a test vector is not met.
     """
 
+    test_tolerance_um: ClassVar[float] = 1e-6
+    """Within what its test vectors are met [um]; summation order differs between computers."""
     model_id: str
     kind: str
     """How it was fitted: `default`, `increments`, `ridge` .."""
@@ -152,11 +152,6 @@ class LinearParameters:
         """
         drift_um = np.multiply.outer(np.asarray(elapsed_min), self.drift_um_per_min)
         return np.asarray(change @ self.coefficients() + drift_um)
-
-    @property
-    def test_tolerance_um(self) -> float:
-        """Within what its test vectors are met [um]."""
-        return TEST_TOLERANCE_UM
 
     def error_since_um(
         self, features: FloatArray, reference: FloatArray, elapsed_min: float | FloatArray

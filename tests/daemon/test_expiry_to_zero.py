@@ -1,6 +1,8 @@
 """A guard under the policy `zero` takes an expired offset out; the daemon must know that and not call it false."""
 
 import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
@@ -25,6 +27,16 @@ def zero_bench(directory: Path) -> Bench:
     return bench
 
 
+@asynccontextmanager
+async def following(directory: Path, um: float) -> AsyncIterator[tuple[Bench, Rig]]:
+    """The machine, and its daemon that has long followed an error [um]."""
+    bench = zero_bench(directory)
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        await rig.follow(0.0, um, 80)
+        yield bench, rig
+
+
 async def expire(bench: Bench, rig: Rig, *, calls: int) -> None:
     """The machine stands idle while the daemon's computer stalls, and the guard is called so often."""
     bench.nc.run = CncRun.STOP
@@ -35,11 +47,7 @@ async def expire(bench: Bench, rig: Rig, *, calls: int) -> None:
 
 
 async def test_the_way_back_of_an_expired_block_is_no_fault_and_the_guard_catches_up(tmp_path: Path) -> None:
-    bench = zero_bench(tmp_path)
-    rig = bench.rig()
-    async with running(rig):
-        await rig.active()
-        await rig.follow(0.0, -25.0, 80)
+    async with following(tmp_path, -25.0) as (bench, rig):
         assert rig.applied["z"] == pytest.approx(25.0)
         await expire(bench, rig, calls=3)
         assert rig.applied["z"] == 0.0
@@ -52,11 +60,7 @@ async def test_the_way_back_of_an_expired_block_is_no_fault_and_the_guard_catche
 
 
 async def test_a_new_session_and_a_new_daemon_find_the_guard_on_its_way(tmp_path: Path) -> None:
-    bench = zero_bench(tmp_path)
-    rig = bench.rig()
-    async with running(rig):
-        await rig.active()
-        await rig.follow(0.0, -25.0, 80)
+    async with following(tmp_path, -25.0) as (bench, rig):
         await expire(bench, rig, calls=3)
         await rig.turn(rig.estimate(0.0, -25.0), safe=False)
     again = bench.rig()
@@ -66,11 +70,7 @@ async def test_a_new_session_and_a_new_daemon_find_the_guard_on_its_way(tmp_path
 
 
 async def test_what_lies_on_no_way_to_zero_is_a_fault_as_before(tmp_path: Path) -> None:
-    bench = zero_bench(tmp_path)
-    rig = bench.rig()
-    async with running(rig):
-        await rig.active()
-        await rig.follow(0.0, -12.0, 80)
+    async with following(tmp_path, -12.0) as (bench, rig):
         await expire(bench, rig, calls=1)
         bench.nc.macros.set(bench.configuration.cnc.macros.echo_applied["z"], -0.011)
         await rig.turn(rig.estimate(0.0, -12.0), safe=False)
@@ -78,11 +78,7 @@ async def test_what_lies_on_no_way_to_zero_is_a_fault_as_before(tmp_path: Path) 
 
 
 async def test_once_the_guard_has_caught_up_a_loss_without_expiry_is_a_fault_again(tmp_path: Path) -> None:
-    bench = zero_bench(tmp_path)
-    rig = bench.rig()
-    async with running(rig):
-        await rig.active()
-        await rig.follow(0.0, -25.0, 80)
+    async with following(tmp_path, -25.0) as (bench, rig):
         bench.nc.macros.set(bench.configuration.cnc.macros.echo_applied["z"], 0.0)
         await rig.turn(rig.estimate(0.0, -25.0), safe=False)
         assert "the CNC says that it applies 0.000 um" in (rig.control.journal.fault or "")
@@ -91,11 +87,7 @@ async def test_once_the_guard_has_caught_up_a_loss_without_expiry_is_a_fault_aga
 @pytest.mark.parametrize("calls", [1, 3])
 async def test_an_output_that_holds_stays_where_the_guard_has_gone(tmp_path: Path, calls: int) -> None:
     """Going back to what was applied before would move the tool without an estimate."""
-    bench = zero_bench(tmp_path)
-    rig = bench.rig()
-    async with running(rig):
-        await rig.active()
-        await rig.follow(0.0, -25.0, 80)
+    async with following(tmp_path, -25.0) as (bench, rig):
         await expire(bench, rig, calls=calls)
         stands_um = rig.applied["z"]
         assert stands_um == {1: 15.0, 3: 0.0}[calls]
@@ -109,11 +101,7 @@ async def test_an_output_that_holds_stays_where_the_guard_has_gone(tmp_path: Pat
 
 async def test_after_a_stall_it_is_looked_first_where_the_guard_has_gone(tmp_path: Path) -> None:
     """An estimate is acted on before the next poll; what was seen before the stall is no longer where the tool is."""
-    bench = zero_bench(tmp_path)
-    rig = bench.rig()
-    async with running(rig):
-        await rig.active()
-        await rig.follow(0.0, -8.0, 80)
+    async with following(tmp_path, -8.0) as (bench, rig):
         session = rig.control.session
         assert session is not None and not session.lapsed
         await expire(bench, rig, calls=1)

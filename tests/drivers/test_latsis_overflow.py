@@ -3,25 +3,15 @@
 import asyncio
 
 import pytest
+from latsis_line import ByHand
 
 from config.schema.temperatures import LineConfig, SensorConfig
 from drivers.clock import SystemClock
 from drivers.latsis import source as latsis_source
-from drivers.latsis.reader import ByteInbox
 from drivers.latsis.source import LatsisSerialSource
 
 CHUNK = 4096
 FOREVER_S = 30.0
-
-
-class ByHand:
-    """A reader whose bytes the test brings; implements `drivers.latsis.reader.LineReader`."""
-
-    def start(self, inbox: ByteInbox) -> None:
-        """Nothing to open."""
-
-    async def stop(self) -> None:
-        """Nothing to close."""
 
 
 @pytest.fixture

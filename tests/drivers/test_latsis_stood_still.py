@@ -2,22 +2,11 @@
 
 import pytest
 from control_rig import HandClock
-from latsis_line import PERIOD_S
+from latsis_line import PERIOD_S, ByHand
 
 from config.schema.temperatures import LineConfig, SensorConfig
 from drivers.contract import LinkError
-from drivers.latsis.reader import ByteInbox
 from drivers.latsis.source import DEAD_LINE_PERIODS, LatsisSerialSource
-
-
-class ByHand:
-    """A reader whose bytes the test brings; implements `drivers.latsis.reader.LineReader`."""
-
-    def start(self, inbox: ByteInbox) -> None:
-        """Nothing to open."""
-
-    async def stop(self) -> None:
-        """Nothing to close."""
 
 
 class Waiting:

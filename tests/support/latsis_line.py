@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 from config.schema.temperatures import LineConfig, SensorConfig
 from drivers.latsis.cycle import CycleAssembler
 from drivers.latsis.frames import crc8, sum8
+from drivers.latsis.reader import ByteInbox
 from drivers.latsis.values import decode_mlx90615, decode_tmp102
 from models.quality import Quality, Reason
 from models.records import Instant, TemperatureCycle
@@ -15,6 +16,16 @@ BYTE_S = 10 / 9600
 
 def instant(at_s: float) -> Instant:
     return Instant(monotonic_s=at_s, utc_s=1e9 + at_s, real_s=at_s)
+
+
+class ByHand:
+    """A reader whose bytes the test brings; implements `drivers.latsis.reader.LineReader`."""
+
+    def start(self, inbox: ByteInbox) -> None:
+        """Nothing to open."""
+
+    async def stop(self) -> None:
+        """Nothing to close."""
 
 
 class Line:
