@@ -2,7 +2,7 @@
 
 import pytest
 import pytest_asyncio
-from commissioning_bench import Bench, Person, serving
+from commissioning_bench import Person, serving, set_back
 
 from config.records.commissioning import commissioning_inhibit
 from config.records.commissioning_file import save_commissioning
@@ -10,18 +10,13 @@ from daemon.checkup.machine import preflight
 from models.records import WriteOutcome
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
+bench = set_back
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module", params=["opcua", "focas", "haas", "sinumerik"])
 async def served(tmp_path_factory, request):
     async with serving(tmp_path_factory.mktemp("commission"), request.param) as bench:
         yield bench
-
-
-@pytest.fixture
-def bench(served) -> Bench:
-    served.reset()
-    return served
 
 
 async def test_a_straight_machine_is_commissioned(bench):

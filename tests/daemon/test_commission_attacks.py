@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import pytest_asyncio
-from commissioning_bench import STOPPED, Bench, Person, refused, serving
+from commissioning_bench import STOPPED, Bench, Person, refused, serving, set_back
 from control_rig import record_for
 
 from config.records.commissioning import CommissionedAxis
@@ -23,6 +23,7 @@ from drivers.sim.nc.wiring import Wiring
 from models.records import WriteOutcome
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
+bench = set_back
 
 REVERSED = Wiring(um_per_um={"z": {"z": -1.0}})
 SWAPPED = Wiring(um_per_um={"z": {"y": 1.0}, "y": {"z": 1.0}})
@@ -41,12 +42,6 @@ on_every_control = pytest.mark.parametrize(
 async def served(tmp_path_factory, request):
     async with serving(tmp_path_factory.mktemp("attacks"), request.param) as bench:
         yield bench
-
-
-@pytest.fixture
-def bench(served) -> Bench:
-    served.reset()
-    return served
 
 
 class Obedient(Person):

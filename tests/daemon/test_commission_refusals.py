@@ -3,25 +3,13 @@
 import asyncio
 
 import pytest
-import pytest_asyncio
-from commissioning_bench import Bench, Person, refused, serving
+from commissioning_bench import Person, refused, served_by_opcua, set_back
 
 from daemon.monitor.control_socket import ControlSocket
 from models.records import WriteOutcome
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
-
-
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def served(tmp_path_factory):
-    async with serving(tmp_path_factory.mktemp("refusals")) as bench:
-        yield bench
-
-
-@pytest.fixture
-def bench(served) -> Bench:
-    served.reset()
-    return served
+served, bench = served_by_opcua, set_back
 
 
 async def test_vacant_variables_are_initialised_and_audited(bench):

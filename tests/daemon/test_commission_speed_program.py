@@ -4,8 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import pytest_asyncio
-from commissioning_bench import Bench, Person, refused, serving
+from commissioning_bench import Bench, Person, refused, served_by_opcua, set_back
 from speed_machine import speed_machine
 
 from drivers.guard.speed_text import speed_text_number
@@ -13,18 +12,7 @@ from drivers.guard.speed_text import speed_text_number
 TEXT = 548
 """The variable in which the speed program tells its text, one that the bench's server has."""
 pytestmark = pytest.mark.asyncio(loop_scope="module")
-
-
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def served(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    async with serving(tmp_path_factory.mktemp("speed")) as bench:
-        yield bench
-
-
-@pytest.fixture
-def bench(served: Bench) -> Bench:
-    served.reset()
-    return served
+served, bench = served_by_opcua, set_back
 
 
 def tuned(content: dict[str, Any]) -> None:

@@ -5,25 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import pytest_asyncio
-from commissioning_bench import Bench, Person, refused, serving
+from commissioning_bench import Bench, Person, refused, served_by_opcua, set_back
 from speed_machine import MACROS, speed_machine
 
 from models.records import WriteOutcome
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
-
-
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def served(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    async with serving(tmp_path_factory.mktemp("commission")) as bench:
-        yield bench
-
-
-@pytest.fixture
-def bench(served: Bench) -> Bench:
-    served.reset()
-    return served
+served, bench = served_by_opcua, set_back
 
 
 @pytest.fixture

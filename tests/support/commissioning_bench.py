@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import pytest_asyncio
 from loop_clock import LoopClock
 from shipped_machine import shipped_machine
 
@@ -253,6 +254,20 @@ async def serving(directory: Path, driver: str = "opcua", slope: dict[str, Any] 
         await asyncio.gather(running, return_exceptions=True)
         await bench.relay.stop()
         await bench.server.stop()
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def served_by_opcua(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Bench]:
+    """A bench for all tests of a file, which calls it `served`."""
+    async with serving(tmp_path_factory.mktemp("commission")) as bench:
+        yield bench
+
+
+@pytest.fixture
+def set_back(served: Bench) -> Bench:
+    """The file's `served`, as it was at first."""
+    served.reset()
+    return served
 
 
 async def refused(bench: Bench, person: Person | None = None, **changes: Any) -> str:
