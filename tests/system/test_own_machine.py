@@ -108,7 +108,7 @@ def test_a_run_in_which_nobody_switches_on_fails_for_nothing_that_follows_from_i
 @pytest.mark.slow
 def test_a_strangers_machine_comes_to_a_verified_write(tmp_path: Path) -> None:
     path = stranger(tmp_path / "mine.yaml")
-    command = ["simulate", "--config", str(path), "--minutes", "45", "--enable", "--json", "-"]
+    command = ["simulate", "--config", str(path), "--minutes", "25", "--enable", "--json", "-"]
     for speed in (bearable(60.0), 15.0):  # what else runs may begin after the pace was measured
         options = ["--speed", f"{speed:.1f}", "--directory", str(tmp_path / "folder")]
         done = CliRunner().invoke(main, [*command, *options])
