@@ -463,9 +463,10 @@ def _unsure(
         return ""
     if outcome.imputed_um > level_um:
         named = ", ".join(f"sensor {sensor_id}" for sensor_id in outcome.imputed[:NAMED]) or "one that is back"
+        named += f" and {len(outcome.imputed) - NAMED} more" if len(outcome.imputed) > NAMED else ""
         return (
             f"what the other sensors say in place of {named} may be {outcome.imputed_um:.1f} um off since the "
-            "reference: bring it back, and position the work again"
+            "reference: bring back what is missing, and if it still holds then, position the work again"
         )
     worst = sorted(np.flatnonzero(uncertainty_k), key=lambda i: -abs(uncertainty_k[i]))[:NAMED]
     named = ", ".join(f"sensor {sensor_ids[i]} by {abs(uncertainty_k[i]):.1f} K" for i in worst)

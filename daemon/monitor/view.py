@@ -143,7 +143,7 @@ def _header(picture: Mapping[str, Any]) -> Text:
         "  ",
         output["reason"],
         ("; the machine is ", "dim"),
-        output["phase"],
+        "at a safe point" if output["phase"] == "safe point" else output["phase"],
     )
     reference = picture["reference"]
     if reference is None:

@@ -14,7 +14,7 @@ from daemon.estimation.task import ThermalTask, thermal_snapshot
 from daemon.monitor.web.estimate import estimate_document
 from daemon.snapshots import Contributions, LinkSnapshot
 from models.quality import Quality, Reason
-from models.records import TemperatureCycle, Trace
+from models.records import OutputState, TemperatureCycle, Trace
 
 
 @pytest.fixture
@@ -145,6 +145,19 @@ async def test_records_are_downloaded_as_csv_and_parquet(bench, what):
     assert rows and "utc_s" in rows[0]
     packed = await browser.get(f"{asked}&format=parquet")
     assert packed.body[:4] == packed.body[-4:] == b"PAR1"
+
+
+async def test_a_line_that_counts_for_nothing_is_named_where_the_output_does_not_follow(bench):
+    """The overview named three sensors and not the broken chain that had taken 126."""
+    rig, chain = bench.rig, "line bed: its IDs announce 2 sensors where the chain has 3"
+    rig.snapshots.thermal = replace(rig.snapshots.thermal, line_faults={"bed": (chain, "more"), "spindle": ()})
+
+    async def problems() -> list[str]:
+        return (await bench.browser().get("/api/v1/status")).json["problems"]
+
+    assert chain not in await problems(), "it follows: one disturbed pass is no problem"
+    rig.snapshots.control = replace(rig.snapshots.control, state=OutputState.HOLD)
+    assert chain in await problems() and "more" not in await problems()
 
 
 async def test_health_is_bad_in_fault_and_without_a_link(bench):

@@ -1,6 +1,7 @@
 """The thermal task: cycles in, cleansed temperatures, references and estimates out."""
 
 import asyncio
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import structlog
 from control_rig import machine
 from thermal_rig import Task, model
 
-from daemon.estimation.task import thermal_snapshot
+from daemon.estimation.task import _unsure, thermal_snapshot
 from daemon.history import HistoryReader
 from daemon.messages import ReferenceEnded, ReferenceRebased, ReferenceRefused, ReferenceTakenUp
 from models.quality import Quality, Reason
@@ -312,9 +313,18 @@ async def test_what_the_others_say_of_a_missing_sensor_holds_when_it_may_be_off(
     await task.minutes(10, spindle=[np.nan, 20.1, 24.0])
     apart = task.estimates[-1]
     assert (apart.imputed, apart.confidence) == ((1,), 0.0)
-    assert "what the other sensors say in place of sensor 1 may be 4.8 um off since the reference" in apart.inhibit
+    assert apart.inhibit == (
+        "what the other sensors say in place of sensor 1 may be 4.8 um off since the reference: bring back what is "
+        "missing, and if it still holds then, position the work again"
+    )
     await task.ask("r2")
     assert task.estimates[-1].inhibit == "", "nothing has moved since"
+
+
+def test_a_sentence_about_missing_sensors_says_how_many_more_there_are():
+    missing = SimpleNamespace(speed_unread_um=0.0, imputed_um=11.0, imputed=(1, 2, 3, 4, 5))
+    said = _unsure(missing, None, np.zeros(5), np.zeros(5), (1, 2, 3, 4, 5))
+    assert "in place of sensor 1, sensor 2, sensor 3 and 2 more may be 11.0 um off" in said
 
 
 async def test_what_a_sensor_was_imputed_with_holds_after_a_restart_when_it_has_returned(task):

@@ -85,6 +85,11 @@ def test_what_matters_is_on_the_screen():
         assert words in text, words
 
 
+def test_where_the_machine_stands_is_said_in_english():
+    at_rest = PICTURE | {"output": PICTURE["output"] | {"phase": "safe point"}}
+    assert "the machine is at a safe point" in shown(status_view(at_rest))
+
+
 @pytest.mark.parametrize("width", [80, 100, 200])
 def test_a_problem_is_shown_whole_and_no_word_of_it_is_cut(width):
     problem = (

@@ -128,6 +128,8 @@ class Documents:
         board, control = self._board, self._board.control
         problems = [control.alarm] if control.alarm else []
         problems += [f"link {link.name}: {link.problem}" for link in board.links if not link.up]
+        if control.state is not OutputState.ACTIVE:  # a disturbed pass now and then holds nothing
+            problems += [faults[0] for faults in board.thermal.line_faults.values() if faults]
         problems += [board.history.problem] if board.history.problem else []
         models = [model for model in (board.model, board.bearing_model) if model is not None]
         problems += [words for model in models for words in (model.problem, model.warning) if words]

@@ -70,7 +70,7 @@ const FOLDERS = /(?:\/[^\s/:]+){2,}\//g;
 
 // What a person should look at: whole in a fault, else its beginning, and the rest on demand.
 function problems({ problems: found, reason, state: now }) {
-  return found.filter((problem) => problem !== reason).map((problem) => {
+  return found.filter((problem) => problem !== reason && !(now === "FAULT" && problem.startsWith(`FAULT: ${reason};`))).map((problem) => {
     if (now === "FAULT" || problem.length < 110) return h("p", { class: "attention" }, prose(problem), " ", todo(problem));
     return h("details", { class: "attention" }, h("summary", {}, h("span", {}, prose(problem.replace(FOLDERS, "…/")))), h("div", {}, prose(problem)), todo(problem));
   });
