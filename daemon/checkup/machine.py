@@ -1,8 +1,10 @@
 """`toolpoint check`: checks everything that the configuration names."""
 
 import asyncio
+import errno
 import os
 import re
+import ssl
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,6 +25,7 @@ from daemon.model_release.bearings import open_planning
 from daemon.model_release.file_access import account_of_daemon
 from daemon.model_release.loading import load_released
 from daemon.monitor.accounts import read_accounts
+from daemon.monitor.listening import in_url, listening
 from drivers import registry
 from drivers.clock import Clock
 from drivers.contract import Capability, DriverError
@@ -47,6 +50,28 @@ def served(configuration: Configuration) -> Iterator[Finding]:
         yield _tried("opcua_server", [tags.certificate, tags.private_key], lambda: _tags(tags))
 
 
+def ports(configuration: Configuration) -> Iterator[Finding]:
+    """Yield whether the ports that the daemon is to serve are free."""
+    service, tags, shdr = configuration.service, configuration.opcua_server, configuration.shdr
+    wanted = [("service.http_port", service.http_host, service.http_port)] if service.http_port else []
+    wanted += [(f"{name}.port", one.host, one.port) for name, one in (("opcua_server", tags), ("shdr", shdr)) if one]
+    for key, host, port in wanted:
+        try:
+            listening(host, port, 1).close()
+        except OSError as error:
+            detail = f"{in_url(host, port)} cannot be served ({error.strerror})"
+            if error.errno == errno.EADDRINUSE:
+                detail = (
+                    f"{in_url(host, port)} is taken by another program, or by the daemon, which must be stopped for "
+                    f"this check: `sudo ss -ltnp sport = :{port}` names it"
+                )
+            elif error.errno == errno.EADDRNOTAVAIL:
+                detail = f"{host} is no address of this computer: `ip address` lists them"
+            yield Finding(subject=key, passed=False, detail=detail)
+        else:
+            yield Finding(subject=key, passed=True, detail=f"{in_url(host, port)} is free")
+
+
 def _tried(subject: str, files: list[Path], look: Callable[[], str]) -> Finding:
     """Return what was found; a credential of the service is looked at by the service alone."""
     for path in files:
@@ -65,8 +90,12 @@ def _monitor(certificate: Path, key: Path) -> str:
     found = load_certificate(certificate)
     try:
         Certificate(certificate, key)
+    except ssl.SSLError as error:
+        raise ValueError(
+            f"{key} is not the private key of {certificate}: give the two that were made together"
+        ) from error
     except OSError as error:
-        raise ValueError(f"{key} cannot be read, or is not the key of {certificate} ({error})") from error
+        raise ValueError(f"{key}: the private key of {certificate} cannot be read ({error.strerror})") from error
     return _valid(certificate, found)
 
 
@@ -99,6 +128,8 @@ async def preflight(configuration: Configuration, clock: Clock, *, devices: bool
         yield _spindle_speed(configuration)
     if not devices:
         return
+    for finding in ports(configuration):
+        yield finding
     for each in configuration.temperatures.inputs:
         what = "line" if isinstance(each, LineConfig) else "source"
         yield await _attempt(f"{what} {each.name}", lambda each=each: _input(configuration, each, clock))  # type: ignore[misc]

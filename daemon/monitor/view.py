@@ -155,7 +155,8 @@ def _header(picture: Mapping[str, Any]) -> Text:
     if output["weight"] is not None and output["weight"] < 1.0:
         line.append(f"\nthe estimate counts {output['weight']:.0%}: sensors are missing", style="yellow")
     if output["alarm"]:
-        line.append(f"\n{output['alarm']}", style="bold red")
+        said_above = f"FAULT: {output['reason']}; "
+        line.append(f"\n{output['alarm'].removeprefix(said_above)}", style="bold red")
     elif output["notices"]:
         line.append(f"\n{output['notices'][-1]}", style="dim")
     if problem := picture["model"].get("problem"):

@@ -10,8 +10,11 @@ from click.testing import CliRunner
 from model_folder import open_folder
 from other_user import OTHER, as_root, as_user
 
+from config.loader import load_configuration
 from config.sample import sample_configuration
+from daemon.checkup.machine import ports
 from daemon.cli import main
+from daemon.monitor.listening import listening
 from drivers.opcua.new_certificate import create_application_certificate
 
 
@@ -108,4 +111,26 @@ def test_a_certificate_that_has_expired_or_has_another_key_is_named(folder: Path
     make_certificate(folder)
     (folder / "monitor.key").write_bytes(key)
     status, output = check(folder)
-    assert status == 1 and f"{folder}/monitor.key cannot be read, or is not the key of {folder}/monitor.crt" in output
+    assert status == 1 and f"{folder}/monitor.key is not the private key of {folder}/monitor.crt" in output
+    assert "_ssl.c" not in output and "Errno" not in output
+    (folder / "monitor.key").unlink()
+    status, output = check(folder)
+    assert status == 1 and "monitor.crt cannot be read (No such file or directory)" in output
+
+
+@pytest.mark.parametrize(
+    ("host", "words"), [("127.0.0.1", "is taken by another program"), ("192.0.2.1", "is no address of this computer")]
+)
+def test_a_port_that_cannot_be_served_is_found_before_the_daemon_starts(host: str, words: str, tmp_path: Path) -> None:
+    content = yaml.safe_load(sample_configuration())
+    path = tmp_path / "machine.yaml"
+    with listening("127.0.0.1", 0, 1) as taken:
+        content["service"]["http_port"] = taken.getsockname()[1]
+        content["shdr"] = {"host": host, "port": taken.getsockname()[1]}
+        path.write_text(yaml.safe_dump(content), encoding="utf-8")
+        http, shdr = ports(load_configuration(path))
+    assert (http.subject, shdr.subject) == ("service.http_port", "shdr.port")
+    assert http.failed and "ss -ltnp" in http.detail
+    assert shdr.failed and words in shdr.detail
+    http, *_ = ports(load_configuration(path))
+    assert http.passed and http.detail.endswith("is free")

@@ -85,6 +85,15 @@ def test_what_matters_is_on_the_screen():
         assert words in text, words
 
 
+def test_the_reason_of_a_fault_is_said_once():
+    why = "macro #502 holds 3, we wrote 0"
+    alarm = f"FAULT: {why}; `toolpoint acknowledge` clears it"
+    text = shown(
+        status_view(PICTURE | {"output": PICTURE["output"] | {"state": "FAULT", "reason": why, "alarm": alarm}})
+    )
+    assert text.count(why) == 1 and "`toolpoint acknowledge` clears it" in text
+
+
 def test_where_the_machine_stands_is_said_in_english():
     at_rest = PICTURE | {"output": PICTURE["output"] | {"phase": "safe point"}}
     assert "the machine is at a safe point" in shown(status_view(at_rest))
