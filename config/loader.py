@@ -231,7 +231,9 @@ def _sentence(details: list[Any], path: KeyPath, model: type[BaseModel]) -> str:
     if any(each is None for each in expected):
         return "; ".join(str(detail["msg"]).removeprefix("Value error, ") for detail in beyond_type)
     subject = "the name" if "[key]" in first["loc"] else "this"
-    return f"{subject} must be {' or '.join(str(each) for each in expected)}, not {_described(first['input'])}"
+    comma = first["type"] == "float_type" and re.fullmatch(r"[-+]?\d+,\d+", str(given := first["input"]))
+    hint = f": write it with a point, {given.replace(',', '.')}" if comma else ""
+    return f"{subject} must be {' or '.join(str(each) for each in expected)}, not {_described(first['input'])}{hint}"
 
 
 def _expected(detail: Any) -> str | None:

@@ -57,6 +57,10 @@ def problems(text: str, model: type[Section] = Whole) -> list[str]:
             ["f.yaml:2:30: parts[0].length_mm: this must be a number, not the text '3'"],
         ),
         (
+            "title: x\nparts:\n  - name: a\n    length_mm: 0,5",
+            ["f.yaml:4:16: parts[0].length_mm: this must be a number, not the text '0,5': write it with a point, 0.5"],
+        ),
+        (
             "title: x\nparts: [{name: a, on: yes}]",
             [
                 "f.yaml:2:23: parts[0].on: `yes` could be a word or a truth value; "
