@@ -93,7 +93,7 @@ def recording_findings(recording: Recording, rows_together: int | None = None) -
     found = [
         *_rows(recording, rows_together),
         *_impossible(recording),
-        *_columns(possible, recording),
+        *_columns(possible, recording, alone=rows_together in (None, recording.rows)),
         *_temperature_units(possible),
         *_displacement_units(possible),
         *_exchanged(possible),
@@ -148,6 +148,7 @@ def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording],
     disagreeing += [
         f"{possible[found.recording].name}: {_disagreement(possible, found)}"
         for found in disagreements(possible, known)
+        if np.isfinite(possible[found.recording].temperatures_degc[:, found.sensor]).any()
     ]
     return possible, (*disagreeing, *_rises(possible), *warnings)
 
@@ -289,8 +290,12 @@ def _impossible(recording: Recording) -> Iterator[Finding]:
             yield _warning(names[column], recording.rows_before + row + 1, sentence)
 
 
-def _columns(recording: Recording, read: Recording) -> Iterator[Finding]:
-    """Yield what is wrong with columns; `read`: with the impossible values, of which `_impossible` tells."""
+def _columns(recording: Recording, read: Recording, *, alone: bool) -> Iterator[Finding]:
+    """Yield what is wrong with columns.
+
+    `read`: with the impossible values, of which `_impossible` tells. `alone`: no other recording is used with it, in
+    which a temperature that has no value here may have some.
+    """
     speed_rpm = recording.speed_rpm
     if speed_rpm is not None and len(speed_rpm) and not np.isfinite(speed_rpm).any():
         sentence = "no value at all, which is not standstill; take the column out of the file or of the map"
@@ -307,6 +312,13 @@ def _columns(recording: Recording, read: Recording) -> Iterator[Finding]:
     ]
     for name, column, as_read in columns:
         missing = ~np.isfinite(column)
+        if len(column) and missing.all() and not alone and name in recording.temperature_names[: recording.sensors]:
+            sentence = (
+                "no value at all in this recording, which is not trained on while the column is used; look at its "
+                "sensor, and leave this recording out or take the column out of the map, whichever costs less"
+            )
+            yield _warning(name, None, sentence)
+            continue
         if not len(column) or missing.all():
             yield _error(name, None, "no value at all; take the column out of the map, or leave this recording out")
             continue

@@ -79,3 +79,21 @@ def test_too_few_probes_are_refused_and_so_is_a_channel_that_died() -> None:
     died = replace(run(1), displacement_names=("Z", "X"), displacements_um=um)
     with pytest.raises(DatasetError, match=r"column X misses 53% of them"):
         train_family([died], "default", sample_s=60.0, created="2026-11-27T00:00:00Z")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("family", ["ridge", "increments"])
+def test_a_sensor_that_was_dead_in_one_of_several_recordings_is_said_and_the_others_are_trained_on(family: str) -> None:
+    recordings = [run(number) for number in range(6)]
+    degc = recordings[2].temperatures_degc.copy()
+    degc[:, 1] = np.nan
+    recordings[2] = replace(recordings[2], temperatures_degc=degc)
+    used, warnings = usable_recordings(recordings)
+    assert any("run 2: column T2: no value at all in this recording" in one for one in warnings)
+    assert not any("stands still" in one for one in warnings)
+    trained = train_family(used, family, sample_s=60.0, created="2026-11-27T00:00:00Z")
+    assert "T2" not in trained.left_out and [one.name for one in trained.model.training] == [
+        f"run {number}" for number in range(6) if number != 2
+    ]
+    with pytest.raises(DatasetError, match="column T2: no value at all; take the column out"):
+        usable_recordings([recordings[2]])

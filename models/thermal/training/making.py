@@ -300,9 +300,9 @@ def increment_range_k(recordings: Sequence[Recording]) -> tuple[FloatArray, Floa
     lowest, highest = [], []
     for recording in recordings:
         temperatures = recording.temperatures_degc
-        lowest.append(np.nanmin(temperatures - np.fmax.accumulate(temperatures, axis=0), axis=0))
-        highest.append(np.nanmax(temperatures - np.fmin.accumulate(temperatures, axis=0), axis=0))
-    return np.asarray(np.min(lowest, axis=0)), np.asarray(np.max(highest, axis=0))
+        lowest.append(np.fmin.reduce(temperatures - np.fmax.accumulate(temperatures, axis=0), axis=0))
+        highest.append(np.fmax.reduce(temperatures - np.fmin.accumulate(temperatures, axis=0), axis=0))
+    return np.asarray(np.fmin.reduce(lowest, axis=0)), np.asarray(np.fmax.reduce(highest, axis=0))
 
 
 def training_data(recording: Recording) -> TrainingData:
