@@ -42,7 +42,7 @@ case $prefix in
 esac
 
 make_current() {
-    [ -x "$prefix/$1/bin/toolpoint" ] || die "version $1 is not installed in $prefix; there are: $(ls "$prefix")"
+    [ -x "$prefix/$1/bin/toolpoint" ] || die "version $1 is not installed in $prefix; there are: $(cd "$prefix" 2> /dev/null && ls -d -- [0-9]* | xargs)"
     ln -s "$1" "$prefix/.current.$$"
     mv -T "$prefix/.current.$$" "$prefix/current"
     echo "current is now $1; restart the daemon to use it: systemctl restart toolpoint"

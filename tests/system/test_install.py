@@ -113,6 +113,7 @@ def test_install_upgrade_and_back(tmp_path: Path) -> None:
     assert back.returncode == 0 and current(prefix) == "0.0.1"
     nowhere = install(made, prefix, "--switch", "0.0.9")
     assert nowhere.returncode == 1 and "0.0.2" in nowhere.stderr and current(prefix) == "0.0.1"
+    assert nowhere.stderr.rstrip().endswith("there are: 0.0.1 0.0.2"), "`current` is no version"
     again = install(made, prefix, "--program-only")
     assert again.returncode == 1 and "installed" in again.stderr and current(prefix) == "0.0.1"
     assert sorted(path.name for path in prefix.iterdir()) == ["0.0.1", "0.0.2", "current"]
