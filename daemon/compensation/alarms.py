@@ -95,7 +95,7 @@ def _alarms(
 
 GUARD_CONTENT = (None, 0, 1)
 """Echo status while the guard has nothing against the block: never run, applied, or nothing enabled."""
-PLACE, NEARING = 12, 13
+PLACE, NEARING, UNFINISHED = 12, 13, 14
 SLOPE_SAYS = {
     PLACE: "the guard applies nothing of the block, of any axis: one with a slope stands outside its travel, or the "
     "control does not say where (status 12): call the guard where the work is, or give slope.travel_mm of that axis "

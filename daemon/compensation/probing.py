@@ -8,6 +8,7 @@ import numpy as np
 
 from daemon.cnc.events import Journal
 from daemon.cnc.macro_block import ECHO_SLACK_UM, Echo
+from daemon.compensation.alarms import UNFINISHED
 from daemon.compensation.references import References
 from daemon.compensation.skill_monitor import SkillWatch
 from daemon.compensation.tool import ToolInSpindle
@@ -115,7 +116,10 @@ class MeasuredByNc:
     @property
     def _guard_between(self) -> bool:
         """What the program measured was measured with another offset than the one that is applied now."""
-        return self._polled is not None and self._asked_after_s < self._moved_s < self._polled[0] + GUARD_BETWEEN_S
+        if self._polled is None:
+            return False
+        clock_s, echo = self._polled
+        return echo.status == UNFINISHED or self._asked_after_s < self._moved_s < clock_s + GUARD_BETWEEN_S
 
     @property
     def waiting(self) -> bool:

@@ -1,5 +1,6 @@
 """Owns the reference: feeds its lifecycle with events, carries out the results, and keeps it for a restart."""
 
+import math
 import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -10,6 +11,7 @@ from config.schema import Configuration
 from daemon.cnc.events import Journal
 from daemon.cnc.limits import reference_rules
 from daemon.cnc.own_offset import OwnOffsetWatch
+from daemon.compensation.alarms import UNFINISHED
 from daemon.compensation.handshake import Handshake
 from daemon.history.writer import HistoryWriter
 from daemon.state_store.store import StateStore
@@ -58,7 +60,7 @@ class References:
         """`um_per_unit`: movement per unit of the macro value by axis [um]."""
         self._rules = reference_rules(configuration, clock.speed, um_per_unit)
         self._safe_sequence_numbers = frozenset(configuration.compensation.output.safe_sequence_numbers)
-        self._safe_flag = configuration.cnc.macros.safe_flag
+        self._safe_flag, self._guard_status = configuration.cnc.macros.safe_flag, configuration.cnc.macros.echo_status
         terms = [axis.tool_term for axis in configuration.compensation.axes.values() if axis.tool_term is not None]
         self._expanding = frozenset(label for term in terms for label in term.temperatures)
         self._clock = clock
@@ -145,11 +147,11 @@ class References:
 
     def too_early(self, applied_um: FloatArray) -> str:
         """Return why none can be set while this is applied, '' when one can: the estimation is not even asked."""
-        return reference.still_applied(self._rules, _most_um(applied_um))
+        return reference.still_applied(self._rules, self._most_um(applied_um))
 
     def adopt(self, found: Reference, applied_um: FloatArray) -> str:
         """Take a reference into force; return why it is refused, '' when it holds."""
-        self._step(reference.adopt(self.memory, found, self._rules, still_applied_um=_most_um(applied_um)))
+        self._step(reference.adopt(self.memory, found, self._rules, still_applied_um=self._most_um(applied_um)))
         _, refusal = self.memory.outcome
         if not refusal:
             self._history.reference(found)
@@ -250,6 +252,11 @@ class References:
             self.left = replace(left, state=ReferenceState.ENDED, ended=why)
             self._store.put(self.left)
 
+    def _most_um(self, applied_um: FloatArray) -> float:
+        """Return the largest offset that is applied [um], NaN where a run of the guard was broken off."""
+        broken_off = self.sample is not None and self.sample.macros.get(self._guard_status) == UNFINISHED
+        return math.nan if broken_off else float(np.nan_to_num(np.abs(applied_um)).max())
+
     def _step(self, step: reference.Step) -> None:
         self.memory, effects = step
         identity, refusal = self.memory.outcome
@@ -263,10 +270,6 @@ class References:
             self._journal.say(effect.kind, effect.text)
         else:
             self._tell_thermal(effect)
-
-
-def _most_um(applied_um: FloatArray) -> float:
-    return float(np.nan_to_num(np.abs(applied_um)).max())
 
 
 def new_id() -> str:

@@ -140,7 +140,7 @@ GOTO90800(POLICY KEEP)
 #{local}=0
 @end
 (APPLY THE DIFFERENCE, AXIS BY AXIS, EACH WRITTEN AHEAD)
-N90600
+N90600#{echo_status}={unfinished}(UNTIL IT HAS ENDED)
 @offsets
 IF[[FIX[#4/{bit}]AND1]EQ0]GOTO{applied}
 #20=#{mirror}(APPLIED)

@@ -185,6 +185,8 @@ o50 endif
 @end
 (APPLY THE DIFFERENCE, AXIS BY AXIS, EACH WRITTEN AHEAD)
 o60 if [[#<what> EQ 1] AND [[#<status> EQ 0] OR [[#<status> EQ 3] AND [{zero}]]]]
+M68 E{echo_status} Q{unfinished}
+M66 E{clock} L0
 @offsets
 o61{number} if [[[FIX[#<enable>/{bit}] MOD 2] EQ 1] AND [#<status> NE 9]]
 #<d>=[ROUND[#<v{number}>{to_mm}/{increment}]*{increment}]

@@ -73,6 +73,7 @@ def linuxcnc_text(cnc: CncConfig, axes: Mapping[str, AxisConfig], *, machine: st
         "last": str(memory[-1]),
         "magic_value": str(MAGIC),
         "version": str(fanuc.GUARD_VERSION),
+        "unfinished": f"{GuardStatus.UNFINISHED:d}",
         "clock": str(pins.clock),
         "tries": str(fanuc.RETRIES),
         "retry_s": decimal(fanuc.RETRY_MS / 1000.0),

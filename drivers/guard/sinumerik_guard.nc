@@ -148,6 +148,7 @@ _V{number}=0
 @end
 ;APPLY THE DIFFERENCE, AXIS BY AXIS, EACH WRITTEN AHEAD
 TP_APPLY:
+R{echo_status}={unfinished}
 @axes
 IF (_BITS B_AND {bit})==0 GOTOF TP_A{number}
 _OLD=R{mirror}

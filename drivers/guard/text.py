@@ -62,6 +62,8 @@ class GuardStatus(IntEnum):
     """A slope that counts for where its axis stands: the position is vacant or outside the travel; nothing moved."""
     NEARING = 13
     """Applied, but a slope's axis stands further from the place it was applied for than a step reaches: call again."""
+    UNFINISHED = 14
+    """A run that applies has begun and not ended: where it was broken off, the echo may lack what it had applied."""
 
 
 class GuardTextError(RefusedInputError, ValueError):
@@ -289,6 +291,7 @@ def common_fields(macros: MacroMapConfig, guard: GuardConfig, axes: int) -> dict
         **flag,
         **(_request_fields(macros, guard) if macros.request is not None else {}),
         "guard": str(guard.program),
+        "unfinished": f"{GuardStatus.UNFINISHED:d}",
         "version": str(GUARD_VERSION if macros.check is not None else UNCHECKED_GUARD_VERSION),
         "tries": str(RETRIES),
         "retry_ms": str(RETRY_MS),

@@ -369,6 +369,30 @@ async def test_a_preview_of_a_program_that_asks_ends(tmp_path: Path) -> None:
     assert shown.count("STRAIGHT_TRAVERSE") == 3 and "PROGRAM_END" in shown
 
 
+async def test_an_abort_in_the_middle_of_the_guard_is_told_by_its_status() -> None:
+    """Whenever it comes, the axes stand where the echo says, or the status says that it may lack a step."""
+    async with started() as mill:
+        linuxcnc, echo = mill.linuxcnc, []
+        await linuxcnc.mdi("o<toolpoint> call [5]")
+        part = linuxcnc.directory / "o1000.ngc"
+        part.write_text("G21 G90 G40 G80 G54\n" + "o<toolpoint> call [1]\n" * 30 + "M2\n", encoding="ascii")
+        for turn in range(24):
+            await mill.write(dict.fromkeys("XYZ", 20.0 if turn % 2 else -20.0))
+            await linuxcnc.do(["mode", "MODE_AUTO"], ["wait"], ["program_open", str(part)], ["wait"])
+            await linuxcnc.do(["auto", "AUTO_RUN", 0])
+            await asyncio.sleep(0.15 + 0.013 * turn)
+            await linuxcnc.do(["abort"], ["wait"], ["mode", "MODE_MDI"], ["wait"])
+            await linuxcnc.mdi("G21 G90 G54", f"G0 X0 Y0 Z{WORK_MM}")
+            stands = [mm * 1000.0 for mm in await linuxcnc.position_mm()]
+            told = await mill.cnc.read_macros([510, 511, 512, 514])
+            applied = [stands[0], stands[1], stands[2] - WORK_MM * 1000.0]
+            off_um = max(abs(um - (told[n] or 0.0) * 1000.0) for um, n in zip(applied, (510, 511, 512), strict=True))
+            assert off_um < 1e-3 or told[514] == GuardStatus.UNFINISHED, (turn, applied, told)
+            assert off_um < 3.001
+            echo.append(told[514])
+        assert GuardStatus.UNFINISHED in echo and GuardStatus.APPLIED in {await mill.guard()}
+
+
 async def test_a_request_without_its_number_is_none() -> None:
     pin = f"motion.analog-out-{Pins.of(config(request=REQUEST)).outputs[517]:02d}"
     async with started(request=REQUEST, request_timeout_s=1.0, on_timeout="continue") as mill:
