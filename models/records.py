@@ -207,8 +207,7 @@ class ThermalErrorEstimate:
     imputed: tuple[int, ...]
     """IDs of the sensors that were imputed."""
     fading_um: float = 0.0
-    """What it may be off while sensors are silent, above 1 um, and still is for the step that a return would have been
-    [um], of the worst channel and tool."""
+    """What it is still off for the step that a sensor's return would have been [um], of the worst channel and tool."""
     found_wrong_um: float = 0.0
     """What sensors that were found wrong since the reference were worth when they were found, all together [um]."""
     inhibit: str = ""

@@ -275,8 +275,7 @@ class ThermalTask:
             in_domain=outcome.in_domain,
             confidence=0.0 if unsure else confidence,
             imputed=tuple(outcome.imputed),
-            fading_um=self._since.fading_um(model.channels, now_s / 60.0, um_per_k)
-            + (outcome.imputed_um if outcome.imputed_um > UNSURE_UM else 0.0),
+            fading_um=self._since.fading_um(model.channels, now_s / 60.0, um_per_k),
             found_wrong_um=self._since.found_wrong_um,
             inhibit=self.inhibit() or unsure,
             held_s=self._cleansing.held_s(degc, now_s, set(outcome.imputed)),
@@ -409,6 +408,7 @@ def _waits_for(
         answer = to.estimate(reference, now_s, inputs, absent)
         worth = 0.0 if answer is None else answer[0].confidence * positions.trust(to.model, now_s, ())[0]
         less = worth < min(renewed.confidence, cleansing.full) - SAME_CONFIDENCE
+        less = less or (answer is not None and answer[0].imputed_um > UNSURE_UM)  # which would stay in what it follows
         to.waits = "less is known of what it counts from than of what the model in use does" if less else ""
     return to.waits
 
@@ -460,20 +460,20 @@ def _unsure(
     level_um = 0.0
     if uncertainty_k.any():
         level_um = online.level_um(uncertainty_k) + float(np.abs(uncertainty_k) @ tool_um_per_k)
-    if level_um + outcome.unsure_um <= UNSURE_UM:
+    if level_um + outcome.imputed_um <= UNSURE_UM:
         return ""
-    if outcome.unsure_um > level_um:
+    if outcome.imputed_um > level_um:
         named = ", ".join(f"sensor {sensor_id}" for sensor_id in outcome.imputed[:NAMED]) or "one that is back"
         named += f" and {len(outcome.imputed) - NAMED} more" if len(outcome.imputed) > NAMED else ""
         return (
-            f"what the other sensors say in place of {named} may be {outcome.unsure_um:.1f} um off since the "
+            f"what the other sensors say in place of {named} may be {outcome.imputed_um:.1f} um off since the "
             "reference: bring back what is missing, and if it still holds then, position the work again"
         )
     worst = sorted(np.flatnonzero(uncertainty_k), key=lambda i: -abs(uncertainty_k[i]))[:NAMED]
     named = ", ".join(f"sensor {sensor_ids[i]} by {abs(uncertainty_k[i]):.1f} K" for i in worst)
     return (
         f"the level of {named} has changed since the reference and nothing explains it, which may be "
-        f"{level_um + outcome.unsure_um:.1f} um: position the work again"
+        f"{level_um + outcome.imputed_um:.1f} um: position the work again"
     )
 
 

@@ -74,8 +74,8 @@ def _incomplete(inputs: OutputInputs, limits: OutputLimits) -> Inhibit | None:
     if inputs.fading_um > FADED_UM:
         return Inhibit(
             code=InhibitCode.CONFIDENCE,
-            text=f"sensors are away or just back: what they say may move the estimate by {inputs.fading_um:.1f} um",
-            remedy="measure again two minutes after they are back",
+            text=f"sensors have just returned: the estimate goes over to what they say by {inputs.fading_um:.1f} um",
+            remedy="measure again in two minutes",
         )
     if inputs.held_s > 0.0 or inputs.estimate_age_s > limits.stale_after_s / 2:
         oldest_s = max(inputs.held_s, inputs.estimate_age_s)

@@ -11,8 +11,6 @@ from models.records import FloatArray
 
 UNSURE_UM = 1.0
 """An estimate that may be wrong by more since its reference is not followed [um]."""
-SILENT_SHARE = 0.5
-"""While sensors are silent it is, as long as what they are imputed with may be off by no more than this share of it."""
 Samples = Iterable[tuple[float, FloatArray, float]]
 """Time [min], temperatures in the model's order [degC], spindle speed [1/min]; NaN where unknown."""
 
@@ -48,8 +46,6 @@ class Estimation:
     """What is left of confidence for the sensors that do not count, 0..1."""
     imputed_um: float = 0.0
     """By how much what is imputed, now or when a sensor was set anew, may be off, of the worst channel [um]."""
-    unsure_um: float = 0.0
-    """What of that counts against following the estimate: without what silent sensors make, while that is little."""
     speed_unread_um: float = 0.0
     """By how much it may be off because spindle speed was not read, since the reference or shortly before it, of the
     worst channel [um]."""

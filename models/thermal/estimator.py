@@ -13,14 +13,14 @@ import numpy as np
 import numpy.typing as npt
 
 from models.records import FloatArray
-from models.thermal.estimation import SILENT_SHARE, UNSURE_UM, Estimation
+from models.thermal.estimation import Estimation
 from models.thermal.features import BRIDGE_MIN, Layout, lag_step, speed_inputs
 from models.thermal.known_history import KnownHistory, ModelState
 from models.thermal.left_out import LeftOut
 from models.thermal.model import Domain, LinearParameters
 from models.thermal.sensor_watch import SLOW_MIN
 from models.thermal.solution import band_factor, far_confidence, fast_confidence
-from models.thermal.watch import MISSING, SensorFault, Watcher, WatchState
+from models.thermal.watch import SensorFault, Watcher, WatchState
 
 SETTLED_LAGS = 4.0
 """So many times the longest lag of history fill the states."""
@@ -238,16 +238,10 @@ class LinearEstimator:
         near *= fast_confidence(state.speed_rpm, self.model.domain.highest_speed_rpm)
         known, past_factor, unread_um = self._past.since(state, reference)
         share = self.left_out.share(excluded)
-        error_um = change @ self.left_out.coefficients(excluded) + elapsed_min * self.model.drift_um_per_min
-        unsure_um = imputed_um
-        if excluded and (imputed_um <= np.maximum(UNSURE_UM, SILENT_SHARE * np.abs(error_um))).all():
-            wrong = found_wrong(state)
-            lasting = tuple(sensor for sensor in excluded if sensor in wrong or not state.missing[sensor])
-            unsure_um = self.left_out.distance(change, lasting)[2]
         band_um = self.model.band_um
         relative = np.divide(imputed_um, band_um, out=np.zeros_like(imputed_um), where=band_um > 0.0)
         return Estimation(
-            thermal_error_um=error_um,
+            thermal_error_um=change @ self.left_out.coefficients(excluded) + elapsed_min * self.model.drift_um_per_min,
             confidence=known * near * share,
             share=share,
             in_domain=not outside.any() and near > 0.0,
@@ -255,7 +249,6 @@ class LinearEstimator:
             outside=self._ids(np.flatnonzero(outside)),
             band_factor=np.sqrt(np.square(band_factor(distance)) + past_factor + np.square(relative)),
             imputed_um=float(imputed_um.max()),
-            unsure_um=float(unsure_um.max()),
             speed_unread_um=unread_um,
         )
 
@@ -290,13 +283,6 @@ def excluded_sensors(state: ModelState, reference: ModelState) -> tuple[int, ...
     if state.watch is not None:
         out[list(state.watch.excluded)] = True
     return tuple(int(index) for index in np.flatnonzero(out))
-
-
-def found_wrong(state: ModelState | None) -> list[int]:
-    """Return the indices of the sensors that the watch has found wrong; one that is only missing is not."""
-    if state is None or state.watch is None:
-        return []
-    return [fault.sensor for fault in state.watch.faults if fault.sign != MISSING]
 
 
 def fault_signs(model: LinearParameters, state: ModelState) -> dict[int, str]:

@@ -68,9 +68,7 @@ class LeftOut:
         if excluded not in self._variances:
             ridges = [one if one.directions is not None else None for one in self.model.solutions]
             none = np.zeros(len(self.model.channels))
-            if len(self._variances) > 1:  # with and without those that are silent
-                self._variances.clear()
-            self._variances[excluded] = [none if one is None else one.imputed_variance(excluded) for one in ridges]
+            self._variances = {excluded: [none if one is None else one.imputed_variance(excluded) for one in ridges]}
         return self._variances[excluded]
 
     def level_um(self, uncertainty_k: FloatArray, excluded: tuple[int, ...]) -> float:

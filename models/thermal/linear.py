@@ -21,7 +21,6 @@ from models.thermal.estimator import (
     LinearEstimator,
     excluded_sensors,
     fault_signs,
-    found_wrong,
     readmitted,
     with_faults,
     worth_um,
@@ -149,7 +148,7 @@ class LinearOnline:
             self._state = with_faults(self.model, self._state, reference.excluded)
         if reference.kept is not None:
             self._restore(reference.kept)
-        self._wrong = set(found_wrong(self._state))
+        self._wrong = set(_found_wrong(self._state))
         return readmitted_ids
 
     @property
@@ -212,7 +211,7 @@ class LinearOnline:
         self._excluded = excluded_sensors(state, self._reference.state)
         self._latest = state
         estimation = estimate_since(self._estimator, state, self._reference)
-        wrong = set(found_wrong(state))
+        wrong = set(_found_wrong(state))
         if estimation is not None and (found_now := wrong - self._wrong):
             was_um = worth_um(self._estimator, state, self._reference.state, found_now)
             estimation = replace(estimation, found_wrong_um=was_um)
@@ -272,6 +271,13 @@ class LinearOnline:
             state = self._estimator.reinitialised(self._estimator.begun(state, here), here)
         self._state = state
         return tuple(self.model.sensor_ids[i] for i in out)
+
+
+def _found_wrong(state: ModelState | None) -> list[int]:
+    """Return the indices of the sensors that the watch has found wrong; one that is only missing is not."""
+    if state is None or state.watch is None:
+        return []
+    return [fault.sensor for fault in state.watch.faults if fault.sign != MISSING]
 
 
 def _as_held(state: ModelState | None, reference: OnlineReference) -> ModelState | None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from models.records import FloatArray
 from models.thermal.estimation import Estimation
-from models.thermal.estimator import LinearEstimator, excluded_sensors, found_wrong
+from models.thermal.estimator import LinearEstimator, excluded_sensors
 from models.thermal.known_history import ModelState
 from models.thermal.watch import MISSING
 
@@ -52,8 +52,7 @@ def estimate_since(estimator: LinearEstimator, state: ModelState, reference: Sta
     if found is None:
         return None
     if reference.imputed_um > 0.0:
-        both = [float(np.hypot(each, reference.imputed_um)) for each in (found.imputed_um, found.unsure_um)]
-        found = replace(found, imputed_um=both[0], unsure_um=both[1])
+        found = replace(found, imputed_um=float(np.hypot(found.imputed_um, reference.imputed_um)))
     if not reference.rest_um.any():
         return found
     rest_um = _rest_um(estimator, reference, state.time_min)
@@ -84,7 +83,7 @@ def returning(
     faults = () if state.watch is None else state.watch.faults
     back[[fault.sensor for fault in faults if fault.sign == MISSING]] = True
     back &= ~state.missing
-    back[found_wrong(state)] = False
+    back[[fault.sensor for fault in faults if fault.sign != MISSING]] = False
     return tuple(int(index) for index in np.flatnonzero(back))
 
 

@@ -13,7 +13,7 @@ from daemon.simulation.faults.script import WATCHED_SENSORS
 from daemon.simulation.simulated_model import published_sensors, simulated_recording, training_programmes
 from models.recordings.dataset import Recording
 from models.records import FloatArray
-from models.thermal.estimation import SILENT_SHARE, UNSURE_UM, Machine, OnlineReference
+from models.thermal.estimation import UNSURE_UM, Machine, OnlineReference
 from models.thermal.linear import LinearModel
 from models.thermal.training.train_family import train_family
 
@@ -44,8 +44,6 @@ class Followed:
     um: FloatArray
     imputed: list[tuple[int, ...]]
     unsure_um: FloatArray
-    against_um: FloatArray
-    """What of that counts against following."""
     band_um: FloatArray
     """The widest of the channels."""
 
@@ -55,7 +53,7 @@ def follow(model: LinearModel, table: FloatArray, speed_rpm: FloatArray) -> Foll
     online = model.runtime(Machine(components={}))
     online.rebuild((float(k), table[k], float(speed_rpm[k])) for k in range(REFERENCE))
     absent = np.zeros(table.shape[1], dtype=bool)
-    um, imputed, unsure_um, against_um, band_um = [], [], [], [], []
+    um, imputed, unsure_um, band_um = [], [], [], []
     for minute in range(REFERENCE, len(table)):
         online.on_sample(float(minute), table[minute], float(speed_rpm[minute]))
         if minute == REFERENCE:
@@ -66,9 +64,8 @@ def follow(model: LinearModel, table: FloatArray, speed_rpm: FloatArray) -> Foll
         um.append(found.thermal_error_um)
         imputed.append(found.imputed)
         unsure_um.append(found.imputed_um)
-        against_um.append(found.unsure_um)
         band_um.append((model.band_um * found.band_factor).max())
-    return Followed(np.array(um), imputed, np.array(unsure_um), np.array(against_um), np.array(band_um))
+    return Followed(np.array(um), imputed, np.array(unsure_um), np.array(band_um))
 
 
 def recorded(seed: int, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
@@ -94,7 +91,7 @@ def drifting(model: LinearModel, seed: int) -> tuple[FloatArray, FloatArray]:
         found = follow(model, table + np.outer(drift_k, np.arange(table.shape[1]) == sensor), speed_rpm)
         assert sensor_id in found.imputed[-1], "the watch has left it out"
         off_um.append(np.abs(found.um - twin.um).max(axis=1)[after])
-        unsure_um.append(found.against_um[after])
+        unsure_um.append(found.unsure_um[after])
     return np.array(off_um), np.array(unsure_um)
 
 
@@ -117,48 +114,3 @@ def test_what_is_imputed_is_in_little_doubt_while_little_has_moved(model: Linear
     assert found.unsure_um[missing].max() > UNSURE_UM
     assert not found.unsure_um[~missing].any()
     assert (found.band_um[missing] >= found.unsure_um[missing]).all()
-
-
-def test_a_silent_sensor_is_followed_while_most_of_the_error_goes_and_the_estimate_is_right_when_it_is_back(
-    model: LinearModel,
-) -> None:
-    table, speed_rpm = (one[:UNTIL] for one in recorded(42, model.sensor_names))
-    twin, followed, wrong = follow(model, table, speed_rpm), 0, 0
-    silence, back = slice(FAULT - REFERENCE, RIGHT - REFERENCE), slice(RIGHT + PASSED_MIN - REFERENCE, None)
-    for sensor in range(table.shape[1]):
-        silent = table.copy()
-        silent[FAULT:RIGHT, sensor] = np.nan
-        found = follow(model, silent, speed_rpm)
-        little = (found.unsure_um <= SILENT_SHARE * np.abs(found.um).min(axis=1)) & (found.unsure_um > UNSURE_UM)
-        assert not found.against_um[silence][little[silence]].any(), "of every channel at least half is taken away"
-        much = found.unsure_um > np.maximum(UNSURE_UM, SILENT_SHARE * np.abs(found.um).max(axis=1))
-        assert (found.against_um[much] == found.unsure_um[much]).all()
-        off_um = np.abs(found.um - twin.um).max(axis=1)
-        assert off_um[back].max() <= UNSURE_UM, "when it is back the tool stands where its twin's does"
-        taken = (found.unsure_um > UNSURE_UM) & (found.against_um <= UNSURE_UM)
-        followed, wrong = followed + int(taken.sum()), wrong + int((off_um[taken] > found.unsure_um[taken]).sum())
-    assert followed > 30
-    print(f"followed: {followed} minutes, off by more than told in {wrong}")
-    assert wrong <= 0.15 * followed
-
-
-def test_what_a_sensor_that_was_found_wrong_is_imputed_with_counts_though_it_falls_silent(model: LinearModel) -> None:
-    table, speed_rpm = (one[:UNTIL] for one in recorded(48, model.sensor_names))
-    table[FAULT:RIGHT, -1] += DRIFT_K_PER_MIN * np.arange(RIGHT - FAULT)
-    table[RIGHT:, -1] = np.nan
-    found = follow(model, table, speed_rpm)
-    late = slice(RIGHT - REFERENCE, None)
-    assert all(model.sensor_ids[-1] in each for each in found.imputed[late])
-    assert found.unsure_um[late].max() > UNSURE_UM
-    assert (found.against_um[late] == found.unsure_um[late]).all()
-
-
-def test_what_a_sensor_that_had_no_value_at_the_reference_was_imputed_with_counts_when_it_is_back(
-    model: LinearModel,
-) -> None:
-    table, speed_rpm = (one[:UNTIL] for one in recorded(42, model.sensor_names))
-    table[:RIGHT, -1] = np.nan
-    found = follow(model, table, speed_rpm)
-    late = slice(RIGHT + 1 - REFERENCE, None)
-    assert not any(found.imputed[late]) and found.unsure_um[late].max() > UNSURE_UM
-    assert (found.against_um[late] == found.unsure_um[late]).all()

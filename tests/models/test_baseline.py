@@ -117,7 +117,7 @@ def test_a_probe_after_a_cut_with_sensors_away_is_not_counted_twice_once_they_we
         ([np.nan, np.nan], {}, None, "no axis was probed"),
         ([np.nan, 1.0], {}, STALE, "temperatures are stale"),
         ([np.nan, 1.0], {"thermal_error_um": np.array([0.0, np.nan])}, None, "no estimate"),
-        ([np.nan, 1.0], {"fading_um": 1.4}, None, "what they say may move the estimate by 1.4 um; measure again"),
+        ([np.nan, 1.0], {"fading_um": 1.4}, None, "goes over to what they say by 1.4 um; measure again"),
     ],
 )
 def test_a_probe_value_that_cannot_be_used_is_refused_in_words(deviation, changes, inhibit, words):
@@ -130,13 +130,13 @@ def test_a_tool_is_not_set_while_the_step_of_a_sensor_s_return_still_fades():
     machine = Machine().following()
     assert tool_setting_inhibit(machine.memory, machine.inputs(fading_um=0.2), LIMITS, None) is None
     refusal = tool_setting_inhibit(machine.memory, machine.inputs(fading_um=1.4), LIMITS, None)
-    assert "sensors are away or just back" in str(refusal)
+    assert "sensors have just returned" in str(refusal)
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"fading_um": 0.6}, "what they say may move the estimate by 0.6 um"),
+        ({"fading_um": 0.6}, "goes over to what they say by 0.6 um"),
         ({"held_s": 25.0}, "the oldest temperature that counts is from 25 s ago"),
         ({"estimate_age_s": 0.6 * LIMITS.stale_after_s}, "the oldest temperature that counts"),
         ({"confidence": LIMITS.full_confidence - 0.01}, "sensors are missing: confidence"),

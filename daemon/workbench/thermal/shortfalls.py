@@ -94,8 +94,8 @@ def _on_line_sentence(test: Mapping[str, Any], beyond: Sequence[str]) -> str:
     elif unsure > UNSURE_SHARE * (1.0 - online["following"]):
         cause = (
             f"for {unsure:.0%} of the time what is imputed for temperatures that are missing may be off by more than "
-            f"{UNSURE_UM:g} um and half of the estimate, above which the output holds, and after {HOLD_MIN:g} min goes "
-            "back to zero: see in the recording why their fields are empty"
+            f"{UNSURE_UM:g} um, above which the output holds, and after {HOLD_MIN:g} min goes back to zero: see in the "
+            "recording why their fields are empty"
         )
     elif beyond:
         cause = (

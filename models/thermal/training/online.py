@@ -80,7 +80,7 @@ def follow(model: ThermalModel, inputs: Inputs, rows: IntArray) -> Followed:
         imputed = np.isin(ids, found.imputed)
         absent[:axes], position_known[place] = imputed[:axes], position_known[place] and not imputed[axes:].any()
         estimate_um[place] = found.thermal_error_um
-        unsure[place] = found.unsure_um > UNSURE_UM
+        unsure[place] = found.imputed_um > UNSURE_UM
         held = unsure[place] or found.speed_unread_um > UNSURE_UM
         confidence[place] = 0.0 if held else found.confidence * trust[place]
         band_um[place], in_domain[place] = model.band_um * found.band_factor, found.in_domain
