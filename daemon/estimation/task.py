@@ -408,8 +408,9 @@ def _waits_for(
         answer = to.estimate(reference, now_s, inputs, absent)
         worth = 0.0 if answer is None else answer[0].confidence * positions.trust(to.model, now_s, ())[0]
         less = worth < min(renewed.confidence, cleansing.full) - SAME_CONFIDENCE
-        less = less or (answer is not None and answer[0].imputed_um > UNSURE_UM)  # which would stay in what it follows
         to.waits = "less is known of what it counts from than of what the model in use does" if less else ""
+        if answer is not None and answer[0].imputed_um > UNSURE_UM:  # which would stay when the sensor is back
+            to.waits = "what it imputes for sensors that are away may be more than 1 um off"
     return to.waits
 
 

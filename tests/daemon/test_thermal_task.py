@@ -333,7 +333,8 @@ def test_another_model_waits_while_what_it_imputes_may_be_off(imputed_um, waits)
     positions = SimpleNamespace(trust=lambda *_: (1.0, ""), behind=lambda *_: None)
     answer = SimpleNamespace(confidence=1.0, imputed_um=imputed_um), None
     to = SimpleNamespace(model=None, waits="", estimate=lambda *_: answer)
-    assert bool(_waits_for(to, estimate, estimate, cleansing, positions, "r", None)) is waits
+    said = _waits_for(to, estimate, estimate, cleansing, positions, "r", None)
+    assert ("more than 1 um off" in said) is waits and bool(said) is waits
 
 
 def test_a_sentence_about_missing_sensors_says_how_many_more_there_are():

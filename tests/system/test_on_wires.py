@@ -46,7 +46,9 @@ def wires(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Wires]:
         Path(configured(folder)).write_text(json.dumps(content), encoding="utf-8")
         of_models("release", str(first), "--note", "first", folder=folder)
 
-    with on_wires(folder, speed=60.0, change=change) as started:
+    # Slow enough that the start of a daemon is a short outage of the machine, also where the computer is slow: what a
+    # sensor did meanwhile is doubted by how far it has gone.
+    with on_wires(folder, speed=20.0, change=change) as started:
         started.switch_on()
         yield started
 
