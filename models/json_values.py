@@ -5,8 +5,6 @@ import re
 from collections.abc import Mapping
 from typing import Any, overload
 
-import numpy as np
-
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
@@ -27,9 +25,9 @@ def plain(value: Any) -> Any:
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
-    return finite_or_none(value) if isinstance(value, float) else value
+    if isinstance(value, float):
+        return finite_or_none(value)
+    return plain(value.tolist()) if hasattr(value, "tolist") else value
 
 
 def printable(text: str, *, keep: str = "") -> str:

@@ -9,7 +9,8 @@ import structlog
 
 from config.schema import Configuration
 from daemon.estimation.inputs import NoPositions
-from daemon.history import HistoryError, HistoryReader
+from daemon.history.database import HistoryError
+from daemon.history.reader import HistoryReader
 from daemon.state_store.documents import CalendarOfBoot, ControlRead
 from daemon.state_store.store import StateStore
 from daemon.telemetry.metrics import give_memory_back

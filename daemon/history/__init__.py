@@ -3,9 +3,3 @@
 `HistoryWriter` owns the only connection that writes, in a thread of its own; `HistoryReader` reads from any process
 meanwhile. Whole hours are packed into column chunks, which the reader does not show.
 """
-
-from daemon.history.database import HistoryError
-from daemon.history.reader import HistoryReader
-from daemon.history.writer import HistoryWriter
-
-__all__ = ["HistoryError", "HistoryReader", "HistoryWriter"]

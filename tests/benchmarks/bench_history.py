@@ -26,8 +26,9 @@ from history_records import AXES, BLOCK, EPOCH_S, FULL, StillClock
 from tidied_store import housekeeping
 
 from config.schema.service import HistoryConfig
-from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.database import connect_reader, connect_writer
+from daemon.history.reader import HistoryReader
+from daemon.history.writer import HistoryWriter
 from models.records import Instant, Trace
 
 YEAR_H = 8766.0

@@ -32,11 +32,11 @@ from tidied_store import housekeeping
 from config.loader import load_configuration
 from config.machines import shipped_file
 from daemon.cli.simulate.demo import demo_machine
-from daemon.history import HistoryWriter
 from daemon.history.columns.packing import temperature_extremes
 from daemon.history.columns.temperature_chunks import CycleBlock
 from daemon.history.decimation import SeriesReader, decimated
 from daemon.history.layout import MachineLayout
+from daemon.history.writer import HistoryWriter
 from daemon.monitor.web.recorded import encoded, series_document
 from daemon.simulation.demonstration import switch_on
 from daemon.simulation.processes import free_port, start_simulation, write_simulation_configuration

@@ -32,8 +32,8 @@ from config.loader import load_configuration
 from config.machines import shipped_file
 from config.schema.service import HistoryConfig
 from config.schema.sinks import SinkConfig
-from daemon.history import HistoryWriter
 from daemon.history.cursors import Cursor
+from daemon.history.writer import HistoryWriter
 from daemon.sinks.running import SinkRunner
 from drivers.sim.machine.body import MachineBody
 from drivers.sim.machine.day import Day

@@ -20,7 +20,7 @@ from daemon.backup.making import make_backup, remove_old
 from daemon.backup.manifest import BackupError, last_block_beside
 from daemon.backup.places import Places
 from daemon.backup.restoring import read_manifest, restore
-from daemon.history import HistoryReader
+from daemon.history.reader import HistoryReader
 from daemon.model_release.releasing import rollback
 
 EVER = (0.0, 1e11)

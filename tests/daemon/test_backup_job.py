@@ -15,7 +15,7 @@ from daemon.app import Daemon
 from daemon.backup.names import existing_backups
 from daemon.backup.restoring import read_manifest
 from daemon.cli import main
-from daemon.history import HistoryReader
+from daemon.history.reader import HistoryReader
 from daemon.housekeeping import jobs
 from daemon.housekeeping.jobs import BackupJob
 from drivers.clock import SystemClock

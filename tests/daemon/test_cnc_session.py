@@ -16,8 +16,8 @@ from daemon.cnc.limits import output_limits
 from daemon.cnc.macro_block import LAST_SEQUENCE, MacroBlock
 from daemon.cnc.session import CncSession
 from daemon.cnc.write_ahead import WriteAheadRecord
-from daemon.history import HistoryReader
 from daemon.history.layout import MachineLayout
+from daemon.history.reader import HistoryReader
 from daemon.history.writer import HistoryWriter
 from daemon.telemetry.metrics import Telemetry
 from drivers.clock import SystemClock

@@ -15,9 +15,9 @@ from config.records.commissioning import CommissionedAxis
 from config.records.commissioning_file import save_commissioning
 from daemon.commissioning.initialising import ForeignWriterError
 from daemon.commissioning.session import Sources
-from daemon.history import HistoryWriter
 from daemon.history.database import HistoryError
 from daemon.history.layout import MachineLayout
+from daemon.history.writer import HistoryWriter
 from drivers.contract import LinkError
 from drivers.sim.nc.wiring import Wiring
 from models.records import WriteOutcome

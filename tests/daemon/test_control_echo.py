@@ -3,7 +3,7 @@
 import pytest
 from control_rig import ENABLE, running
 
-from daemon.history import HistoryReader
+from daemon.history.reader import HistoryReader
 
 ECHO_Z = 513
 

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 from control_rig import BLOCK, ENABLE, SEQUENCE_A, SEQUENCE_B, Bench, Y, Z, record_for, running
 
 from daemon.cli import main
-from daemon.history import HistoryReader
+from daemon.history.reader import HistoryReader
 from daemon.monitor.control_socket import ControlSocket
 from daemon.state_store.documents import OutputFault
 from daemon.state_store.store import StateStore

@@ -10,7 +10,7 @@ from wires import EVER, check_audit
 from config.records.commissioning import CommissionedAxis
 from config.schema.cnc_drivers import OpcUaNodesConfig
 from config.schema.compensation import ToolTermConfig
-from daemon.history import HistoryReader
+from daemon.history.reader import HistoryReader
 from daemon.messages import ReferenceRebased, ReferenceRefused, ReferenceRequest, ReferenceTakenUp
 from models.control.state import OperatorRequest
 from models.records import WriteOutcome

@@ -13,10 +13,10 @@ from hypothesis.extra.numpy import arrays
 from tidied_store import housekeeping
 
 from config.schema.service import HistoryConfig
-from daemon.history import HistoryWriter
 from daemon.history.columns.packing import decode_extremes, temperature_extremes
 from daemon.history.columns.temperature_chunks import CycleBlock
 from daemon.history.decimation import COARSE_S, Buckets, SeriesError, SeriesReader, decimated
+from daemon.history.writer import HistoryWriter
 from models.quality import Quality
 
 DAYS = 3

@@ -17,7 +17,7 @@ from nc_requests import (
     zero_first,
 )
 
-from daemon.history import HistoryReader
+from daemon.history.reader import HistoryReader
 from daemon.messages import ReferenceEnded, ReferenceRebased, ReferenceRefused
 from drivers.contract import LinkError
 from models.records import WriteOutcome

@@ -4,7 +4,7 @@ import pytest
 from control_rig import Bench, running
 from nc_requests import ACKNOWLEDGE, PROBE, TOOL_CHANGE, Z_AXIS, answer, ask, requesting_bench, zero_first
 
-from daemon.history import HistoryReader
+from daemon.history.reader import HistoryReader
 
 
 @pytest.fixture

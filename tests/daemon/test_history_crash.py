@@ -18,8 +18,9 @@ from tidied_store import housekeeping
 from write_history import degc_of
 
 from config.schema.service import HistoryConfig
-from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.database import connect_reader
+from daemon.history.reader import HistoryReader
+from daemon.history.writer import HistoryWriter
 from models.records import WriteOutcome
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -18,9 +18,10 @@ from tidied_store import housekeeping
 from config.schema.service import HistoryConfig
 from daemon.cli import main
 from daemon.cli.operate.history_view import print_rows, view
-from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.export import complete_file, write_parquet
+from daemon.history.reader import HistoryReader
 from daemon.history.tables import Table
+from daemon.history.writer import HistoryWriter
 from models.quality import Reason
 from models.records import WriteOutcome
 

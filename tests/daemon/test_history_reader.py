@@ -15,9 +15,11 @@ from other_user import OTHER, as_root, as_user
 from tidied_store import housekeeping
 
 from config.schema.service import HistoryConfig
-from daemon.history import HistoryError, HistoryReader, HistoryWriter, database
-from daemon.history.database import connect_reader
+from daemon.history import database
+from daemon.history.database import HistoryError, connect_reader
+from daemon.history.reader import HistoryReader
 from daemon.history.series import NOT_IN_CYCLE
+from daemon.history.writer import HistoryWriter
 from models.quality import Quality, Reason
 from models.records import CncMode, CncRun, OutputState, WriteOutcome
 

@@ -12,7 +12,10 @@ import numpy as np
 import pytest
 from history_records import EPOCH_S, SMALL, StillClock
 
-from daemon.history import HistoryError, HistoryReader, HistoryWriter, database
+from daemon.history import database
+from daemon.history.database import HistoryError
+from daemon.history.reader import HistoryReader
+from daemon.history.writer import HistoryWriter
 from models.records import WriteOutcome
 
 FOREVER_S = 30.0

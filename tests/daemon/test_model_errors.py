@@ -16,8 +16,9 @@ from config.sample import sample_configuration
 from config.schema import Configuration
 from config.schema.displacements import DisplacementChannelConfig, DisplacementFileConfig, DisplacementsConfig
 from daemon.cli import main
-from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.layout import MachineLayout
+from daemon.history.reader import HistoryReader
+from daemon.history.writer import HistoryWriter
 from daemon.model_release.model_errors import MeasuredError, measured_errors
 from daemon.sinks.alarms.observing import worn_models
 from models.records import ProbeSample

@@ -12,8 +12,9 @@ from sloped_machine import PIVOT_MM, TRAVEL_MM, configured, content, proved
 
 from config.records.commissioning_file import commissioning_text
 from config.schema import Configuration
-from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.layout import MachineLayout
+from daemon.history.reader import HistoryReader
+from daemon.history.writer import HistoryWriter
 from daemon.model_release.model_errors import MeasuredError, measured_errors
 from daemon.model_release.past_recordings import commissioned_um_per_unit
 from models.records import ProbeSample

@@ -20,7 +20,7 @@ from nc_requests import (
     requesting_bench,
 )
 
-from daemon.history import HistoryReader
+from daemon.history.reader import HistoryReader
 
 SPECIAL = (None, math.nan, math.inf, -math.inf, -0.0, 1e300, -1e300, 2.5, 1e-9, -3.0)
 FEW = (None, math.nan, -math.inf, 1e300, 2.5)

@@ -12,7 +12,7 @@ from speed_machine import MACROS, speed_machine
 
 from daemon.cnc.macro_block import begun_after
 from daemon.cnc.write_ahead import WriteAheadRecord
-from daemon.history import HistoryReader
+from daemon.history.reader import HistoryReader
 from daemon.spindle_speed.macro_block import OperationKey, SpeedBlock, SpeedPair
 from daemon.spindle_speed.writer import SpeedWriter
 

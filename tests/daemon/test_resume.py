@@ -6,8 +6,8 @@ from control_rig import HandClock, machine
 
 from daemon.cnc.write_ahead import WriteAheadRecord
 from daemon.compensation.restart import KEPT_CAUSE, load_resume_point, wanted_at_start
-from daemon.history import HistoryReader
 from daemon.history.layout import MachineLayout
+from daemon.history.reader import HistoryReader
 from daemon.history.writer import HistoryWriter
 from daemon.state_store.documents import DaemonAlive, WantedAxes
 from daemon.state_store.store import StateStore

@@ -11,9 +11,11 @@ from history_records import EPOCH_S, SMALL, StillClock
 from tidied_store import packed_here
 
 from config.schema.service import HistoryConfig
-from daemon.history import HistoryReader, HistoryWriter, tidying
+from daemon.history import tidying
 from daemon.history.database import connect_reader
+from daemon.history.reader import HistoryReader
 from daemon.history.tidying import LONGEST_UNPROVEN_H, unproven_h
+from daemon.history.writer import HistoryWriter
 
 HOUR_S, DAY_S = 3600.0, 86_400.0
 CONFIG = HistoryConfig(

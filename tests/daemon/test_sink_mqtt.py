@@ -27,8 +27,8 @@ from tidied_store import housekeeping
 from config.sample import sample_configuration
 from config.schema.service import HistoryConfig
 from config.schema.sinks import BrokerConfig, SinkConfig
-from daemon.history import HistoryWriter
 from daemon.history.cursors import Cursor, cursor_path
+from daemon.history.writer import HistoryWriter
 from daemon.sinks.ahead import Ahead
 from daemon.sinks.broker import Broker, Message
 from daemon.sinks.contract import Progress, SinkError

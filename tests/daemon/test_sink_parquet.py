@@ -16,8 +16,9 @@ from tidied_store import housekeeping
 
 from config.schema.service import HistoryConfig
 from config.schema.sinks import SinkConfig
-from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.cursors import Cursor, cursor_path
+from daemon.history.reader import HistoryReader
+from daemon.history.writer import HistoryWriter
 from daemon.sinks.contract import SinkError
 from daemon.sinks.outbox import STREAMS, Outbox
 from daemon.sinks.running import SinkRunner

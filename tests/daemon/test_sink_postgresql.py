@@ -29,8 +29,9 @@ from tidied_store import housekeeping
 from config.sample import sample_configuration
 from config.schema.service import HistoryConfig
 from config.schema.sinks import PostgresqlConfig, SinkConfig
-from daemon.history import HistoryReader, HistoryWriter
 from daemon.history.cursors import Cursor, cursor_path
+from daemon.history.reader import HistoryReader
+from daemon.history.writer import HistoryWriter
 from daemon.simulation.processes import free_port
 from daemon.sinks.contract import SinkError
 from daemon.sinks.database import Database, authorities, scripts

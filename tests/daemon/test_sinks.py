@@ -23,9 +23,11 @@ from config.schema import Configuration
 from config.schema.service import HistoryConfig
 from config.schema.sinks import SinkConfig
 from daemon.cli import main
-from daemon.history import HistoryReader, HistoryWriter, tidying
+from daemon.history import tidying
 from daemon.history.cursors import Cursor, cursor_path
 from daemon.history.database import HistoryError, connect_reader
+from daemon.history.reader import HistoryReader
+from daemon.history.writer import HistoryWriter
 from daemon.housekeeping.jobs import job_snapshots
 from daemon.sinks import contract
 from daemon.sinks.contract import Progress, SinkError

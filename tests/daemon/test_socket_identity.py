@@ -11,7 +11,7 @@ from pathlib import Path
 from control_rig import Bench, Z, running
 from other_user import OTHER, as_root
 
-from daemon.history import HistoryReader
+from daemon.history.reader import HistoryReader
 from daemon.monitor.control_client import ControlClient, DaemonUnreachableError
 from daemon.monitor.control_socket import ControlSocket
 

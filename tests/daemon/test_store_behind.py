@@ -15,8 +15,9 @@ from structlog.testing import capture_logs
 from daemon.app import Daemon
 from daemon.cnc.write_ahead import BEHIND, WriteAheadRecord
 from daemon.compensation.restart import STORE_BEHIND
-from daemon.history import HistoryReader, database, engine, writer
+from daemon.history import database, engine, writer
 from daemon.history.layout import MachineLayout
+from daemon.history.reader import HistoryReader
 from daemon.history.writer import HistoryWriter
 from models.control.state import OperatorRequest
 

@@ -15,9 +15,10 @@ from history_records import EPOCH_S, SMALL, StillClock
 from other_user import OTHER, as_root, as_user, in_child
 
 from daemon.app import Daemon
-from daemon.history import HistoryError, HistoryReader, HistoryWriter
-from daemon.history.database import connect_writer
+from daemon.history.database import HistoryError, connect_writer
+from daemon.history.reader import HistoryReader
 from daemon.history.store_lock import WriterLock
+from daemon.history.writer import HistoryWriter
 
 FOREVER_S = 30.0
 SHARED_FIRST, SHARED_SIZE = 0x40000002, 510

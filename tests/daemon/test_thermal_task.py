@@ -10,7 +10,7 @@ from control_rig import machine
 from thermal_rig import Task, model
 
 from daemon.estimation.task import _unsure, _waits_for, thermal_snapshot
-from daemon.history import HistoryReader
+from daemon.history.reader import HistoryReader
 from daemon.messages import ReferenceEnded, ReferenceRebased, ReferenceRefused, ReferenceTakenUp
 from models.quality import Quality, Reason
 from models.records import TemperatureCycle

@@ -12,9 +12,9 @@ from config.files import sha256_of
 from daemon.backup import making
 from daemon.backup.manifest import BackupError
 from daemon.backup.restoring import disarm, read_manifest
-from daemon.history import HistoryError, HistoryReader
 from daemon.history.columns.kinds import TEMPERATURES
-from daemon.history.database import schema_version
+from daemon.history.database import HistoryError, schema_version
+from daemon.history.reader import HistoryReader
 from daemon.history.writer import HistoryWriter
 from models.records import WriteOutcome
 

@@ -22,7 +22,7 @@ from account import Row, Unavailable
 from wires import Wires, check_audit, on_wires
 
 from config.loader import load_configuration
-from daemon.history import HistoryReader
+from daemon.history.reader import HistoryReader
 from daemon.monitor.control_client import DaemonUnreachableError
 from daemon.monitor.control_socket import RequestError
 from daemon.simulation.processes import free_port

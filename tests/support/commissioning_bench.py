@@ -20,7 +20,7 @@ from config.schema.guard import GuardConfig
 from daemon.commissioning.initialising import CommissioningRefusedError
 from daemon.commissioning.procedure import Plan
 from daemon.commissioning.session import Sources, commission
-from daemon.history import HistoryReader
+from daemon.history.reader import HistoryReader
 from daemon.history.series import WriteRecord
 from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine

@@ -7,8 +7,8 @@ import history_records as make
 import numpy as np
 from history_records import EPOCH_S, SMALL, StillClock
 
-from daemon.history import HistoryWriter
 from daemon.history.cursors import Cursor, Position
+from daemon.history.writer import HistoryWriter
 from daemon.sinks.outbox import STREAMS, Outbox
 
 

@@ -14,7 +14,7 @@ from pace import bearable
 
 from config.schema import Configuration
 from daemon.cli.simulate.demo import demo_machine
-from daemon.history import HistoryReader
+from daemon.history.reader import HistoryReader
 from daemon.history.series import WriteRecord
 from daemon.monitor.control_client import ControlClient, DaemonUnreachableError
 from daemon.simulation.demonstration import switch_on

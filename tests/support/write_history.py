@@ -20,11 +20,12 @@ import history_records as make
 import numpy as np
 from history_records import EPOCH_S, SMALL, StillClock
 
-from daemon.history import HistoryWriter, engine
+from daemon.history import engine
 from daemon.history.columns.packing import pack_hours
 from daemon.history.database import connect_reader, connect_writer
 from daemon.history.retention import store_hour
 from daemon.history.store_lock import WriterLock
+from daemon.history.writer import HistoryWriter
 
 FOREVER_S = 60.0
 STUCK_S = 0.5

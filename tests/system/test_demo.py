@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from daemon.history import HistoryReader
+from daemon.history.reader import HistoryReader
 from daemon.monitor.control_client import ControlClient, DaemonUnreachableError
 from daemon.simulation.processes import free_port
 

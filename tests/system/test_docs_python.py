@@ -12,7 +12,7 @@ from history_records import SMALL, StillClock
 
 from config.machines import shipped_file
 from config.sample import sample_configuration
-from daemon.history import HistoryWriter
+from daemon.history.writer import HistoryWriter
 
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "use-from-python.md"
 

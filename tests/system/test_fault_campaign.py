@@ -14,7 +14,7 @@ from click.testing import Result as ClickResult
 from daemon.cli import main
 from daemon.cli.simulate.demo import demo_machine
 from daemon.cli.simulate.faults import on_one_core
-from daemon.history import HistoryReader
+from daemon.history.reader import HistoryReader
 from daemon.simulation.faults import campaign
 from daemon.simulation.faults.result import Result, failures, numbers, summary
 from daemon.simulation.faults.run import run_campaign

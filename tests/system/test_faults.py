@@ -3,7 +3,7 @@
 import pytest
 from wires import check_audit, on_wires
 
-from daemon.history import HistoryReader
+from daemon.history.reader import HistoryReader
 
 pytestmark = [pytest.mark.wires, pytest.mark.slow]
 

@@ -22,7 +22,7 @@ from wires import EVER, FIRST_REFERENCE_S, FOREVER_S, Wires, check_audit, on_wir
 
 from config.machines import shipped_file
 from daemon.cli import main
-from daemon.history import HistoryReader
+from daemon.history.reader import HistoryReader
 from models.thermal.family import model_from_json
 from models.thermal.linear import LinearModel
 

@@ -25,7 +25,7 @@ from mosquitto import PROGRAM
 from postgresql import FOLDERS, PASSWORD, Server, postgresql
 
 from config.schema.sinks import SinkConfig
-from daemon.history import HistoryWriter
+from daemon.history.writer import HistoryWriter
 from daemon.simulation.processes import free_port
 from daemon.sinks.running import SinkRunner
 from models.records import ProbeSample

@@ -22,7 +22,7 @@ from node_packages import NEEDS_NODE, installed
 
 from config.sample import sample_configuration
 from config.schema.sinks import SinkConfig
-from daemon.history import HistoryWriter
+from daemon.history.writer import HistoryWriter
 from daemon.sinks import current
 from daemon.sinks.outbox import STREAMS, Outbox
 from daemon.sinks.running import SinkRunner

@@ -9,7 +9,7 @@ import pytest
 from milling_wires import CUT, SAFE, MillingWires, milling, tuned
 from speed_machine import MACROS, speed_machine
 
-from daemon.history import HistoryReader
+from daemon.history.reader import HistoryReader
 from drivers.guard.speed_text import SpeedStatus
 from models.records import WriteOutcome
 

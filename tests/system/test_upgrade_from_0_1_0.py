@@ -24,10 +24,9 @@ from config.yaml_document import RENAMED
 from daemon.cli import main
 from daemon.cnc.write_ahead import WriteAheadRecord
 from daemon.estimation.model_in_use import ModelInUse
-from daemon.history import HistoryReader
 from daemon.history.database import connect_writer
 from daemon.history.layout import MachineLayout
-from daemon.history.reader import TABLES
+from daemon.history.reader import TABLES, HistoryReader
 from daemon.history.writer import HistoryWriter
 from daemon.model_release.bearings import load_released_bearings
 from daemon.model_release.file_access import own_account

@@ -215,7 +215,7 @@ def drift(config_path: Path, last_s: float, bound: float | None, json_path: str 
     import time
     from collections import Counter
 
-    from daemon.history import HistoryReader
+    from daemon.history.reader import HistoryReader
     from daemon.model_release.model_errors import drift_document, in_force, measured_errors
     from daemon.model_release.past_recordings import commissioned_um_per_unit
     from models.json_values import plain

@@ -25,9 +25,8 @@ from daemon.cli.operate.history_view import (
     view,
 )
 from daemon.cli.options import ProgressBar, json_option
-from daemon.history import HistoryReader
 from daemon.history.columns.kinds import TEMPERATURES
-from daemon.history.reader import TABLES
+from daemon.history.reader import TABLES, HistoryReader
 from daemon.history.tables import EVENTS, Table
 from models.json_values import plain
 from models.records import ProbeSample

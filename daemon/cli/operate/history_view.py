@@ -11,7 +11,7 @@ import click
 import numpy as np
 
 from config.schema.temperatures import expand_ranges
-from daemon.history import HistoryReader
+from daemon.history.reader import HistoryReader
 from models.json_values import printable
 from models.records import WriteOutcome
 

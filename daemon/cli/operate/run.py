@@ -11,7 +11,7 @@ import structlog
 from daemon.app import Daemon
 from daemon.cli.common import FAILED, config_option, option, read_with_warnings, refuse
 from daemon.cnc.cnc_lock import CncLockError
-from daemon.history import HistoryError
+from daemon.history.database import HistoryError
 from daemon.telemetry.logs import configure_logging
 from drivers.clock import Clock, ScaledClock, SystemClock
 from drivers.registry import import_drivers

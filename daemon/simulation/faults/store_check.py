@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from daemon.history import HistoryReader
 from daemon.history.columns.kinds import WRITES
 from daemon.history.database import HistoryError
+from daemon.history.reader import HistoryReader
 from daemon.simulation.faults.invariants import Ledger
 from daemon.simulation.faults.operations_check import Probe
 from daemon.simulation.faults.process import NUMBER_BITS, Acknowledgements, cycle_key

@@ -20,8 +20,8 @@ from config.loader import load_configuration
 from config.machines import shipped_file
 from config.schema import Configuration
 from daemon.ending import set_by_signals
-from daemon.history import HistoryWriter
 from daemon.history.layout import MachineLayout
+from daemon.history.writer import HistoryWriter
 from drivers.sim.machine.body import MachineBody
 from drivers.sim.machine.day import Day
 from drivers.sim.nc.program import demo_program
