@@ -16,6 +16,11 @@ ECHO_SLACK_UM = 0.05
 """Allowed between the echo and what explains it [um]."""
 NO_STATUS = -1
 """Stands for an echo status that is no whole number, which no guard has written."""
+UNFINISHED = 14
+"""Echo status of a run of the guard that was broken off."""
+UNSETTLED = (6, 8, 9, UNFINISHED)
+"""Echo status with which the echo may not say what is applied: inch, which leaves a broken run as it is, memory
+damaged, offset unsettled, unfinished."""
 LAST_SEQUENCE = 999_999
 """Sequence numbers run from 1 to here and start again."""
 UNRECORDED_WRITES = 3
@@ -58,6 +63,11 @@ class Echo:
     status: int | None
     """A GuardStatus, or NO_STATUS; None where vacant."""
     guard_version: float | None
+
+    @property
+    def settled(self) -> bool:
+        """What it says is what is applied."""
+        return self.status not in UNSETTLED
 
 
 class MacroBlock:

@@ -5,13 +5,15 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from config.schema.compensation import OutputConfig
-from daemon.cnc.macro_block import Echo
+from daemon.cnc.macro_block import UNFINISHED, Echo
 from models.control.state import Inhibit, OutputMemory
 from models.records import CncRun, CncSample, CompensationCommand, OutputState
 from models.thermal.estimation import UNSURE_UM
 
 REFUSALS = 2
 """A single torn read is no alarm: the block was being written."""
+BROKEN_OFF_S = 5.0
+"""A run of the guard that has begun to apply ends sooner, or has been broken off [s]."""
 ASKS_THE_GUARD = (OutputState.ACTIVE, OutputState.HOLD, OutputState.RETREAT)
 """States in which the guard has an offset to bring, to keep or to take out."""
 
@@ -29,6 +31,8 @@ class GuardWatch:
         """Runs of the guard, one after the other, that took nothing over."""
         self.nearing = 0
         """Runs, one after the other, that moved a slope by a step, and left it short of where its axis stands."""
+        self.unfinished_s = 0.0
+        """Time for which a run has not ended that began to apply [s]."""
 
     def follow(self, echo: Echo, sample: CncSample) -> None:
         now_s = sample.time.monotonic_s
@@ -38,6 +42,8 @@ class GuardWatch:
             self.nearing = self.nearing + 1 if echo.status == NEARING else 0
         elif sample.run is CncRun.START and self._previous_s is not None:
             self.silent_s += now_s - self._previous_s
+        ran = echo.status != UNFINISHED or self._previous_s is None
+        self.unfinished_s = 0.0 if ran else self.unfinished_s + now_s - (self._previous_s or 0.0)
         self._echo_time_s, self._previous_s = echo.time_s, now_s
 
 
@@ -81,7 +87,12 @@ def _alarms(
 ) -> Iterator[str]:
     """Yield what is wrong at the guard, and what has been held for too long."""
     config = guard.config
-    if memory.state in ASKS_THE_GUARD and max(guard.refusals, guard.nearing) >= REFUSALS and echo is not None:
+    if memory.state in ASKS_THE_GUARD and guard.unfinished_s > BROKEN_OFF_S:
+        yield (
+            "a run of the guard was broken off (status 14), so what is applied may be a step further than it says: "
+            "call the guard with the tool clear of the work, and position the work after that"
+        )
+    elif memory.state in ASKS_THE_GUARD and max(guard.refusals, guard.nearing) >= REFUSALS and echo is not None:
         of_slope = SLOPE_SAYS.get(echo.status or 0)
         yield of_slope or f"the guard does not apply the block (status {echo.status}, see docs/reference/macros.md)"
     elif memory.state in (OutputState.ACTIVE, OutputState.RETREAT) and guard.silent_s > config.guard_alarm_after_s:
@@ -95,7 +106,7 @@ def _alarms(
 
 GUARD_CONTENT = (None, 0, 1)
 """Echo status while the guard has nothing against the block: never run, applied, or nothing enabled."""
-PLACE, NEARING, UNFINISHED = 12, 13, 14
+PLACE, NEARING = 12, 13
 SLOPE_SAYS = {
     PLACE: "the guard applies nothing of the block, of any axis: one with a slope stands outside its travel, or the "
     "control does not say where (status 12): call the guard where the work is, or give slope.travel_mm of that axis "

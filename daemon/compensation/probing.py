@@ -8,7 +8,6 @@ import numpy as np
 
 from daemon.cnc.events import Journal
 from daemon.cnc.macro_block import ECHO_SLACK_UM, Echo
-from daemon.compensation.alarms import UNFINISHED
 from daemon.compensation.references import References
 from daemon.compensation.skill_monitor import SkillWatch
 from daemon.compensation.tool import ToolInSpindle
@@ -119,7 +118,7 @@ class MeasuredByNc:
         if self._polled is None:
             return False
         clock_s, echo = self._polled
-        return echo.status == UNFINISHED or self._asked_after_s < self._moved_s < clock_s + GUARD_BETWEEN_S
+        return not echo.settled or self._asked_after_s < self._moved_s < clock_s + GUARD_BETWEEN_S
 
     @property
     def waiting(self) -> bool:

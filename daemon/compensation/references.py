@@ -10,8 +10,8 @@ import numpy as np
 from config.schema import Configuration
 from daemon.cnc.events import Journal
 from daemon.cnc.limits import reference_rules
+from daemon.cnc.macro_block import UNSETTLED
 from daemon.cnc.own_offset import OwnOffsetWatch
-from daemon.compensation.alarms import UNFINISHED
 from daemon.compensation.handshake import Handshake
 from daemon.history.writer import HistoryWriter
 from daemon.state_store.store import StateStore
@@ -253,9 +253,9 @@ class References:
             self._store.put(self.left)
 
     def _most_um(self, applied_um: FloatArray) -> float:
-        """Return the largest offset that is applied [um], NaN where a run of the guard was broken off."""
-        broken_off = self.sample is not None and self.sample.macros.get(self._guard_status) == UNFINISHED
-        return math.nan if broken_off else float(np.nan_to_num(np.abs(applied_um)).max())
+        """Return the largest offset that is applied [um], NaN while the guard's echo may not say it."""
+        unsettled = self.sample is not None and self.sample.macros.get(self._guard_status) in UNSETTLED
+        return math.nan if unsettled else float(np.nan_to_num(np.abs(applied_um)).max())
 
     def _step(self, step: reference.Step) -> None:
         self.memory, effects = step

@@ -157,7 +157,7 @@ class StartupRecovery:
         undecided = [anew or axis in resume.undecided for axis in self._axes]
         wanted = wanted_at_start(resume.wanted, undecided, applied_um)
         try:
-            memory = initial_memory(now_s=now_s, applied_um=applied_um, wanted=wanted)
+            memory = initial_memory(now_s=now_s, applied_um=applied_um, wanted=wanted, settled=session.echo.settled)
         except ValueError as error:
             self.not_begun = self._journal.alarm = f"{error}: run the guard's initialising program, then acknowledge"
             return None

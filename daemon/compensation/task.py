@@ -271,6 +271,7 @@ class ControlTask:
             phase=self.phase,
             link=session is not None and session.echo is not None and interlocks.write_inhibit(session.cnc) is None,
             applied_um=self.applied_um(),
+            settled=session is None or session.echo is None or session.echo.settled,
             written_um=session.written_um if session is not None else None,
             withdrawn=session is not None and session.withdrawn,
             reference_id=reference.reference_id if reference is not None else None,

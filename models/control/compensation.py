@@ -72,17 +72,19 @@ TRANSITIONS: dict[OutputState, tuple[tuple[Condition, OutputState], ...]] = {
 """State -> (condition, next state), the first condition that holds wins."""
 
 
-def initial_memory(*, now_s: float, applied_um: FloatArray, wanted: tuple[bool, ...]) -> OutputMemory:
+def initial_memory(
+    *, now_s: float, applied_um: FloatArray, wanted: tuple[bool, ...], settled: bool = True
+) -> OutputMemory:
     """Return the memory at the start of the daemon: the command begins at the CNC's echo.
 
     Raises ValueError when an echo is not finite: nothing may start from an unknown position.
 
     `now_s`: monotonic time [s]. `applied_um`: the guard's echo, shape (n_axes,) [um]; every value must be finite.
-    `wanted`: axes that a person had switched on before the restart.
+    `wanted`: axes that a person had switched on before the restart. `settled`: the echo says what is applied.
     """
     if not np.isfinite(applied_um).all():
         raise ValueError("the CNC's echo is vacant or not a number; commissioning initialises it")
-    moved = bool(np.any(np.abs(applied_um) > ZERO_UM))
+    moved = not settled or bool(np.any(np.abs(applied_um) > ZERO_UM))
     axes = len(applied_um)
     return OutputMemory(
         state=OutputState.HOLD if moved else OutputState.OFF,
@@ -203,7 +205,7 @@ def _change_state(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimi
         Condition.READY: inhibit is None and any_wanted,
         Condition.BAD_INPUT: inhibit is not None,
         Condition.HELD_TOO_LONG: inputs.now_s - memory.since_s > limits.hold_limit_s,
-        Condition.RETREATED: memory.state is OutputState.RETREAT and known and inputs.link and _at_zero(memory, inputs),
+        Condition.RETREATED: memory.state is OutputState.RETREAT and inputs.link and _at_zero(memory, inputs),
         Condition.ACKNOWLEDGED: inputs.request.acknowledge > 0 and inputs.link and known and not inputs.output_fault,
     }
     for condition, target in TRANSITIONS[memory.state]:
@@ -217,7 +219,7 @@ def _change_state(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimi
 
 
 def _at_zero(memory: OutputMemory, inputs: OutputInputs) -> bool:
-    return bool((np.abs(inputs.applied_um) <= ZERO_UM).all() and (memory.command_um == 0.0).all())
+    return bool(inputs.settled and (np.abs(inputs.applied_um) <= ZERO_UM).all() and (memory.command_um == 0.0).all())
 
 
 def _enter(

@@ -189,7 +189,7 @@ def adopt(memory: ReferenceMemory, reference: Reference, rules: ReferenceRules, 
 def still_applied(rules: ReferenceRules, still_applied_um: float) -> str:
     """Return why no reference can be set while so much is applied [um], NaN: nobody knows; '' when one can."""
     if math.isnan(still_applied_um):
-        return "a run of the guard was broken off, so what is applied is not known: call the guard, then position again"
+        return "the guard has not settled what is applied (status 6, 8, 9 or 14): call it, then position again"
     if not rules.zero_first or still_applied_um <= 0.0:
         return ""
     return (

@@ -116,6 +116,8 @@ class OutputInputs:
     """The CNC answered lately and may be written to."""
     applied_um: FloatArray
     """The guard's echo per axis [um]; NaN where it is unknown."""
+    settled: bool = True
+    """The echo says what is applied; False while a run of the guard that was broken off may have moved further."""
     written_um: FloatArray | None = None
     """What the block held at the latest read-back or poll [um]; None where it is not watched."""
     withdrawn: bool = False

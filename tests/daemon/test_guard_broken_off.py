@@ -6,6 +6,9 @@ import pytest
 from control_rig import Bench, Rig, running
 from nc_requests import ACKNOWLEDGE, AXIS, COUNTER, KIND, PROBE, REFERENCE, VALUE, Z_AXIS, answer, ask, last_asked
 
+from drivers.guard.text import GuardStatus
+from models.control.state import OperatorRequest
+
 BEHIND_UM, AHEAD_UM = 3.0, 11.0
 
 
@@ -50,7 +53,7 @@ async def test_work_that_is_positioned_then_has_no_reference_until_the_guard_has
             stood_um = await positioned(rig, bench, 1)
             if answer(bench) == -1.0:
                 refused += 1
-                assert "a run of the guard was broken off" in rig.control.reference_ended
+                assert "the guard has not settled what is applied" in rig.control.reference_ended
                 assert rig.state == "HOLD" and rig.control.reference is None
                 if not refused % 6:  # the guard runs, and the next positioning counts
                     bench.nc.safe_point()
@@ -82,3 +85,55 @@ async def test_nothing_that_is_measured_then_counts(tmp_path: Path) -> None:
         ask(bench, 3, PROBE, Z_AXIS, 0.001)
         await rig.follow(0.0, -AHEAD_UM, 3)
         assert answer(bench) == 3.0
+
+
+@pytest.mark.parametrize("blocks", [97, 98, 99])
+async def test_a_run_in_inches_after_it_does_not_hide_it(tmp_path: Path, blocks: int) -> None:
+    bench = Bench(tmp_path)
+    for number in (COUNTER, KIND, AXIS, VALUE, ACKNOWLEDGE):
+        bench.nc.macros.set(number, 0.0)
+    modal = bench.nc.guard.control.modal  # type: ignore[union-attr]
+    async with running(bench.rig()) as rig:
+        assert await broken_off(rig, bench, blocks)
+        modal[6] = 20
+        assert bench.nc.safe_point() is GuardStatus.INCH
+        modal[6] = 21
+        await rig.turn(safe=False)
+        assert rig.applied["z"] == 8.0 and rig.control.applied_um()[2] == BEHIND_UM, "the echo is behind"
+        await positioned(rig, bench, 1)
+        assert answer(bench) == -1.0 and rig.state == "HOLD" and rig.control.reference is None
+        bench.nc.safe_point()
+        await rig.turn(safe=False)
+        stood_um = await positioned(rig, bench, 2)
+        assert answer(bench) == 2.0
+        await rig.follow(0.0, 0.0, 12)
+        assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(stood_um, abs=1.0)
+
+
+@pytest.mark.parametrize("restart", [False, True])
+async def test_a_retreat_does_not_end_by_an_echo_that_is_behind(tmp_path: Path, restart: bool) -> None:
+    bench = Bench(tmp_path)
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        for _ in range(10):
+            await rig.turn(rig.estimate(0.0, -AHEAD_UM), safe=False)
+        interpreter = bench.nc.guard.at(bench.nc.macros, bench.nc.clock_s)
+        interpreter.start(bench.nc.guard.programs.guard)
+        while bench.nc.guard.applied_um["z"] == 0.0:
+            interpreter.step()
+        interpreter.reset()
+        rig.control.request(OperatorRequest(zero=True), "a person")
+        for _ in range(20):
+            await rig.turn(safe=False)
+        assert rig.applied["z"] > 1.0 and not rig.control.applied_um().any(), "the echo is behind"
+        assert rig.state == "RETREAT"
+        assert "a run of the guard was broken off (status 14)" in rig.control.journal.alarm
+        if not restart:
+            await rig.follow(0.0, 0.0, 12)
+            assert rig.state == "OFF" and rig.applied["z"] == 0.0 and not rig.control.journal.alarm
+    if restart:
+        async with running(bench.rig()) as rig:
+            await rig.turn(safe=False)
+            assert rig.state != "OFF"
+            await rig.follow(0.0, 0.0, 12)
+            assert rig.state == "OFF" and rig.applied["z"] == 0.0
