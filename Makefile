@@ -30,9 +30,9 @@ install: $(VENV)/.installed
 # A process more than there are cores, because tests on wires mostly wait. The tests of one file stay in one process, so
 # that they share what they set up, and the longest files come first (tests/conftest.py).
 PROCESSES ?= $(shell expr $$(nproc) + 1)
-# What is compiled first is not compiled again by every process that a test starts (PYTHONDONTWRITEBYTECODE).
-PYTEST = $(BIN)/python -m compileall -q config daemon drivers models && \
-  OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(PROCESSES) --dist loadfile
+# What is compiled is kept: every process of the tests would compile and rewrite all of them.
+PYTEST = $(BIN)/python -m compileall -q config daemon drivers models tests/support && \
+  PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(PROCESSES) --dist loadfile
 
 test: $(VENV)/.installed-dev
 	$(PYTEST) -m "not slow"

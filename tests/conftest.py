@@ -1,6 +1,8 @@
 """What holds for every test: no deadline because the computer was slow, a log as nobody has set it, order, folders."""
 
 import gc
+import importlib.util
+import multiprocessing
 import os
 import shutil
 import sys
@@ -12,10 +14,12 @@ from typing import Any
 
 import pytest
 import structlog
+from _pytest.assertion import rewrite
 from hypothesis import HealthCheck, settings
 
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")
+sys.modules["rfc3987_syntax"] = None  # type: ignore[assignment]  # grammars of URIs, 1.7 s of jsonschema's import
 os.environ["TOOLPOINT_SIGNING_KEY"] = "/no/key/of/whoever/runs/the/tests"
 
 HARDSHIPS = "tests/system/test_hardships.py::test_nothing_acknowledged_is_lost_and_what_must_hold_holds"
@@ -113,6 +117,9 @@ def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.Tes
 def pytest_configure(config: pytest.Config) -> None:
     """Keep the tests' folders in memory, where the computer has enough of it, unless `--basetemp` names another."""
     gc.disable()  # until all tests are there: nothing that is loaded now goes away
+    if getattr(config.option, "numprocesses", None) and not sys.dont_write_bytecode:
+        with multiprocessing.get_context("fork").Pool() as pool:
+            pool.map(rewrite_assertions, Path(__file__).parent.glob("*/test_*.py"), chunksize=8)
     if hasattr(config, "workerinput") or config.option.basetemp is not None or not fit(IN_MEMORY):
         return
     config.stash[_folder] = tempfile.tempdir = os.environ["TMPDIR"] = tempfile.mkdtemp(prefix="tests-", dir=IN_MEMORY)
@@ -124,6 +131,14 @@ def pytest_unconfigure(config: pytest.Config) -> None:
     """Give the memory back."""
     if _folder in config.stash:
         shutil.rmtree(config.stash[_folder], ignore_errors=True)
+
+
+def rewrite_assertions(path: Path) -> None:
+    """Leave the file of a test with pytest's assertions for the processes, each of which would rewrite them all."""
+    hook = next(finder for finder in sys.meta_path if isinstance(finder, rewrite.AssertionRewritingHook))
+    spec = importlib.util.spec_from_file_location(path.stem, path, loader=hook)
+    rewrite.exec = lambda *_: None  # type: ignore[attr-defined]  # what is rewritten is not run here
+    hook.exec_module(importlib.util.module_from_spec(spec))  # type: ignore[arg-type]
 
 
 def fit(folder: Path) -> bool:
