@@ -62,6 +62,7 @@ version=$(basename "$1" | cut -d- -f2)
 if [ -e "$prefix/$version" ]; then
     "$prefix/$version/bin/toolpoint" --version > /dev/null 2>&1 \
         || die "$prefix/$version is left from an installation that was broken off; remove it and install again"
+    [ "$(readlink "$prefix/current")" = "$version" ] || echo "install.sh: to make it the current one: --switch $version" >&2
     die "version $version is installed in $prefix/$version already; nothing was changed"
 fi
 "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || die "$python is older than 3.11; name another: --python"
@@ -106,7 +107,7 @@ if [ "$program_only" = no ]; then
     if [ "$root" = / ]; then
         systemd-sysusers toolpoint.conf
         systemd-tmpfiles --create toolpoint.conf
-        udevadm control --reload && udevadm trigger || echo "install.sh: udev does not answer; its rules count after a restart" >&2
+        { udevadm control --reload && udevadm trigger; } 2> /dev/null || echo "install.sh: udev does not answer; its rules count after a restart" >&2
         systemctl daemon-reload || echo "install.sh: systemd does not answer; run systemctl daemon-reload" >&2
     fi
     command="${root%/}/usr/local/bin/toolpoint"

@@ -23,7 +23,8 @@ class ControlClient:
             self._socket.connect(str(path))
         except PermissionError as error:
             raise DaemonUnreachableError(
-                f"{path}: permission denied; join the group that owns the socket (service.socket_group)"
+                f"{path}: permission denied; `service.socket_group` names who may use it: set it, restart the daemon, "
+                "and let this account be in that group"
             ) from error
         except OSError as error:
             raise DaemonUnreachableError(

@@ -138,13 +138,10 @@ class _Labelled:
 
 def _header(picture: Mapping[str, Any]) -> Text:
     output = picture["output"]
-    line = Text.assemble(
-        (f" {output['state']} ", STATE_STYLES.get(output["state"], "bold")),
-        "  ",
-        output["reason"],
-        ("; the machine is ", "dim"),
-        "at a safe point" if output["phase"] == "safe point" else output["phase"],
-    )
+    line = Text.assemble((f" {output['state']} ", STATE_STYLES.get(output["state"], "bold")), "  ", output["reason"])
+    if picture["cnc"] is not None:
+        line.append("; the machine is ", style="dim")
+        line.append("at a safe point" if output["phase"] == "safe point" else output["phase"])
     reference = picture["reference"]
     if reference is None:
         line.append(f"\nno reference: {picture.get('reference_ended') or 'waiting for work positioning'}", style="dim")

@@ -16,6 +16,8 @@ HINTS = {
     "translate host": "no address is known for `host`: check `host`",
     "connection refused": "check `host`, `port`, and that the server runs",
     "timeout expired": "check `host`, `port` and the network",
+    "unreachable": "check `host` and the network of this computer",
+    "no route": "check `host` and the network of this computer",
     "many clients": "the server lets no more connections in: raise its max_connections: each machine needs one",
     "connection slots": "the server lets no more connections in: raise its max_connections: each machine needs one",
     "authentication request": "what answers there is no PostgreSQL: check `host` and `port`",

@@ -30,6 +30,7 @@ ALIVE_PERIOD_S = 30.0
 LOCK_WITHIN_S = 0.5
 """Somebody who looks whether the process runs holds its lock for a moment; another such process for longer."""
 STOP_WITHIN_S = 10.0
+TELL_PERIOD_S = 5.0
 OpenSink = Callable[[SinkConfig, str], Sink]
 
 
@@ -226,8 +227,13 @@ def alone(store: Path) -> Iterator[None]:
         yield
 
 
-def run_sinks(configuration: Configuration, stop: threading.Event) -> None:
-    """Run every sink of a configuration until `stop` is set; raises HistoryError when another process does."""
+def run_sinks(
+    configuration: Configuration, stop: threading.Event, tell: Callable[[str], None] = lambda _status: None
+) -> None:
+    """Run every sink of a configuration until `stop` is set; raises HistoryError when another process does.
+
+    `tell` hears every few seconds what keeps them from sending.
+    """
     store = configuration.history.path
     with alone(store):
         runners = [
@@ -237,7 +243,8 @@ def run_sinks(configuration: Configuration, stop: threading.Event) -> None:
         threads = [threading.Thread(target=each.run, name="sink", daemon=True) for each in runners]
         for thread in threads:
             thread.start()
-        stop.wait()
+        while not stop.wait(TELL_PERIOD_S):
+            tell("; ".join(filter(None, (each.cursor.problem for each in runners))) or "sending")
         for thread in threads:
             thread.join(STOP_WITHIN_S)
 

@@ -3,11 +3,13 @@
 import json
 import os
 import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
 from installation import Installation
+from other_user import OTHER, as_root, as_user
 
 from config.loader import load_configuration
 from config.records.commissioning import CommissioningError, load_commissioning
@@ -87,6 +89,23 @@ def test_a_release_is_signed_by_whoever_makes_it_and_by_nobody_else(signing: Sig
     signing.be("anna")
     rollback(signing.installation.configuration, person="anna")
     assert signing.loaded.record is not None and signing.loaded.record.number == 3
+
+
+@as_root
+def test_who_may_not_write_the_folder_gets_the_public_key_and_what_root_must_run(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    signing, home = Signing(folder, monkeypatch), folder / "ben"
+    home.mkdir()
+    os.chown(home, OTHER, OTHER)
+    signing.be("ben")
+    said = as_user(OTHER, lambda: signing.run("keys", "make", "ben").output)
+    trusted = signing.installation.configuration.signatures.public_keys
+    command = f"sudo install -D --mode=0644 {home / 'ben.pub'} {trusted / 'ben.pub'}"
+    assert f"it counts once root has put it into {trusted}: {command}" in said
+    assert not (trusted / "ben.pub").exists()
+    subprocess.run(command.removeprefix("sudo ").split(), check=True)
+    assert signing.run("keys", "list").output.split()[1] == "ben"
 
 
 @pytest.mark.parametrize("change", ["record", "signature", "another's", "other release", "garbage", "missing"])

@@ -506,6 +506,11 @@ def test_a_refusal_names_the_key(server: Server, tmp_path: Path, changes: dict[s
         ("cannot execute INSERT in a read-only transaction", "`host` is the primary"),
         ('FATAL: database "plant" does not exist', "check `database`"),
         ("connection failed: FATAL: could not write init file", "its disk may be full"),
+        (
+            'connection to server at "10.9.9.9", port 5432 failed: Network is unreachable',
+            "check `host` and the network",
+        ),
+        ('connection to server at "10.9.9.9", port 5432 failed: No route to host', "check `host` and the network"),
     ],
 )
 def test_a_server_that_starts_is_not_taken_for_one_without_the_database(said: str, advised: str) -> None:

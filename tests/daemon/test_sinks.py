@@ -3,6 +3,7 @@
 import asyncio
 import errno
 import json
+import queue
 import subprocess
 import sys
 import threading
@@ -289,6 +290,29 @@ async def test_the_daemon_shows_a_sink_as_a_link(tmp_path: Path) -> None:
         looking = asyncio.create_task(watch(SINK, store, lambda: None, 0.0))
     with pytest.raises(LinkError, match="its process does not run"):
         await asyncio.wait_for(looking, 10.0)
+
+
+def test_the_service_manager_hears_what_keeps_the_sinks_from_sending(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As `systemctl status toolpoint-sink` shows it: a folder that is not there, which is then made."""
+    monkeypatch.setattr("daemon.sinks.running.TELL_PERIOD_S", 0.05)
+    files, heard, stop = tmp_path / "files", queue.SimpleQueue[str](), threading.Event()
+    writer_of(tmp_path / "h.sqlite", EPOCH_S).close()
+    sink = {"name": "files", "driver": "parquet", "parquet": {"folder": str(files)}}
+    configuration = machine_with(tmp_path / "h.sqlite", sinks=[SinkConfig.model_validate(sink)])
+    running = threading.Thread(target=run_sinks, args=(configuration, stop, heard.put))
+    running.start()
+    try:
+        while (said := heard.get(timeout=30.0)) == "sending":
+            pass
+        assert "sink files" in said and str(files) in said
+        files.mkdir()
+        while (said := heard.get(timeout=30.0)) != "sending":
+            assert "sink files" in said
+    finally:
+        stop.set()
+        running.join()
 
 
 def test_a_second_process_is_refused(tmp_path: Path) -> None:

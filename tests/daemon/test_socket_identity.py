@@ -83,7 +83,7 @@ async def test_the_group_decides_who_may_and_the_kernel_says_who_it_was(tmp_path
             serving.cancel()
             await asyncio.gather(serving, return_exceptions=True)
             assert heard.startswith("{"), heard
-            assert "permission denied; join the group" in refused
+            assert "permission denied; `service.socket_group` names who may use it" in refused
             for _ in range(2):
                 await rig.turn()
             assert rig.state != "FAULT"

@@ -97,6 +97,7 @@ def test_the_reason_of_a_fault_is_said_once():
 def test_where_the_machine_stands_is_said_in_english():
     at_rest = PICTURE | {"output": PICTURE["output"] | {"phase": "safe point"}}
     assert "the machine is at a safe point" in shown(status_view(at_rest))
+    assert "the machine is" not in shown(status_view(at_rest | {"cnc": None})), "nobody knows"
 
 
 @pytest.mark.parametrize("width", [80, 100, 200])

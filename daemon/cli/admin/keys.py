@@ -1,5 +1,6 @@
 """`toolpoint keys`: whose signatures count, and signing what stands on the machine already."""
 
+import shlex
 from pathlib import Path
 
 import click
@@ -25,7 +26,8 @@ def make(name: str, config_path: Path) -> None:
     """Make the key of this account, and let it count as NAME.
 
     The private key stays in the home of this account (or where TOOLPOINT_SIGNING_KEY names). The public key goes to
-    signatures.public_keys. NAME.release, NAME.commissioning and NAME.back-up count for one purpose alone.
+    signatures.public_keys; where this account may not write there, it lies beside the private one until root copies
+    it. NAME.release, NAME.commissioning and NAME.back-up count for one purpose alone.
     """
     from config.signing import PUBLIC_SUFFIX, trusted_key
     from config.signing_key import SigningKey, private_key_path
@@ -39,10 +41,17 @@ def make(name: str, config_path: Path) -> None:
         key = SigningKey.make(path) if made else SigningKey.load(path)
         say(f"private key: {path}{'' if made else ' (was there)'}")
         trusted_key(public, key.public)
-        folder.mkdir(parents=True, exist_ok=True)
-        with public.open("xb") as file:
-            file.write(key.public)
-        public.chmod(0o644)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with public.open("xb") as file:
+                file.write(key.public)
+            public.chmod(0o644)
+        except PermissionError:
+            (copy := path.with_name(public.name)).write_bytes(key.public)
+            command = shlex.join(["sudo", "install", "-D", "--mode=0644", str(copy), str(public)])
+            refuse(
+                f"public key: {copy} ({key.number}); it counts once root has put it into {folder}: {command}", FAILED
+            )
     except OSError as error:
         cause = f"the public key cannot be put there ({error.strerror})"
         refuse(f"{public}: {cause}; an account that may write there must do it", FAILED)

@@ -34,9 +34,10 @@ def run(config_path: Path) -> None:
     configuration = _with_sinks(config_path)
     configure_logging(configuration.service.log_level)
     stop = set_by_signals(signal.SIGTERM, signal.SIGINT)
-    ServiceManager().ready("sending")
+    manager = ServiceManager()
+    manager.ready("sending")
     try:
-        run_sinks(configuration, stop)
+        run_sinks(configuration, stop, manager.watchdog)
     except HistoryError as error:
         refuse(str(error), FAILED)  # that passes, so the service manager starts this again
 
