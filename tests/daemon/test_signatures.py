@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner, Result
 from installation import Installation
 from other_user import OTHER, as_root, as_user
+from small_model import model
 
 from config.loader import load_configuration
 from config.records.commissioning import CommissioningError, load_commissioning
@@ -20,6 +21,7 @@ from daemon.app import load_record
 from daemon.backup.manifest import BackupError
 from daemon.backup.restoring import read_manifest, restore
 from daemon.cli import main
+from daemon.model_release.active import proposals_folder
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import LoadedModel, load_released
 from daemon.model_release.releasing import rollback
@@ -232,3 +234,15 @@ def test_a_key_that_cannot_be_read_refuses_everything_and_is_named(signing: Sign
         (folder / "anna.pub").symlink_to(folder / "stick/anna.pub")
     assert signing.loaded.model is None and f"{folder / 'anna.pub'}: this key" in signing.loaded.inhibit
     assert load_record(signing.installation.configuration)[0] is None
+
+
+def test_the_list_says_which_proposals_wait_and_which_are_released(signing: Signing) -> None:
+    signing.installation.release("ridge-1")
+    configuration = signing.installation.configuration
+    assert configuration.compensation.model_file is not None
+    waiting = proposals_folder(configuration) / "2.json"
+    waiting.parent.mkdir(exist_ok=True)
+    shutil.copyfile(os.path.realpath(configuration.compensation.model_file), waiting)
+    (waiting.parent / "3.json").write_text(model("ridge-3").to_json(), encoding="utf-8")
+    listed = signing.run("model", "list").output
+    assert f"is release 1  {waiting}: ridge-1" in listed and f"waits  {waiting.parent / '3.json'}: ridge-3" in listed

@@ -168,9 +168,11 @@ def list_command(bearings: bool, config_path: Path, json_path: str | None) -> No
         click.echo("no model has been released")
     if json_path is None and not bearings and (hidden := why_proposals_are_hidden(configuration)):
         say(hidden)
+    released = {record.sha256: f"is release {record.number}" for record in records}
     for proposal in waiting if json_path is None else ():
+        fares = released.get(proposal.sha256, "waits")
         click.echo(
-            f"  waits  {proposal.path}: {proposal.model_id}  {proposal.sha256[:12]}  {proposal.inhibit}".rstrip()
+            f"  {fares}  {proposal.path}: {proposal.model_id}  {proposal.sha256[:12]}  {proposal.inhibit}".rstrip()
         )
     if problem:
         refuse(problem)
