@@ -60,7 +60,10 @@ class References:
         """`um_per_unit`: movement per unit of the macro value by axis [um]."""
         self._rules = reference_rules(configuration, clock.speed, um_per_unit)
         self._safe_sequence_numbers = frozenset(configuration.compensation.output.safe_sequence_numbers)
-        self._safe_flag, self._guard_status = configuration.cnc.macros.safe_flag, configuration.cnc.macros.echo_status
+        macros = configuration.cnc.macros
+        self._safe_flag, self._guard_status = macros.safe_flag, macros.echo_status
+        self._echo = (macros.echo_time, *macros.echo_applied.values())
+        self._problems: list[str] = []
         terms = [axis.tool_term for axis in configuration.compensation.axes.values() if axis.tool_term is not None]
         self._expanding = frozenset(label for term in terms for label in term.temperatures)
         self._clock = clock
@@ -118,11 +121,20 @@ class References:
         """The latest poll, with the part program's block while a program of the guard runs."""
         return self.memory.sample
 
-    async def on_poll(self, cnc: Cnc, polled: CncSample, asked_s: float) -> None:
-        """Take one poll of the CNC, for which it was asked at `asked_s` [s]; a changed offset is read once more."""
-        if moved := await self._own_offset.changed(cnc, polled.macros):
+    async def on_poll(self, cnc: Cnc, polled: CncSample, asked_s: float, problems: list[str]) -> None:
+        """Take one poll of the CNC, asked for at `asked_s` [s], and which of our macros it found vacant or foreign."""
+        if moved := await self._own_offset.changed(cnc, polled.macros) or self._echo_overwritten(polled, problems):
             self.end(moved)
         self.on_sample(polled, asked_s)
+
+    def _echo_overwritten(self, polled: CncSample, problems: list[str]) -> str:
+        """Return why the echo is none of the guard's, '' when it may be; a time of before a power cycle is no time."""
+        before, known, self._problems = self.sample or polled, self._problems, problems
+        (then_s, *then), (now_s, *now) = ([each.macros.get(n) for n in self._echo] for each in (before, polled))
+        went_back = then_s is not None and now_s is not None and now_s < then_s <= before.clock_s
+        if not went_back and (problems in ([], known) or then == now):
+            return ""
+        return "somebody has put back or emptied the guard's macros, so what is applied is not known"
 
     def on_sample(self, polled: CncSample, asked_s: float) -> None:
         """Take one poll of the CNC, for which it was asked at `asked_s` [s]."""

@@ -214,7 +214,7 @@ class ControlTask:
         self._echo_watch.seen(session.echo, sample.time)
         self.journal.raise_fault(*problems)
         self.guard_watch.follow(session.echo, sample)
-        await self._references.on_poll(session.cnc, sample, asked_s)
+        await self._references.on_poll(session.cnc, sample, asked_s, problems)
         self._measured.on_sample(sample, session.echo, self._estimate)
         await self._desk.look(session)
         if self.memory is None:

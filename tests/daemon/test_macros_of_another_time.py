@@ -56,6 +56,35 @@ async def restored_under(
     await rig.follow(-20.0, -20.0, 5)
     assert rig.state == "FAULT" and "we wrote" in str(rig.control.journal.fault)
     assert rig.applied == {"x": 0.0, "y": 20.0, "z": 20.0} and len(bench.nc.written) == written
+    assert rig.acknowledge("a person") == ""
+    await rig.follow(-20.0, -20.0, 40)
+    assert rig.state == "HOLD" and rig.control.reference is None, "what is applied is not known"
+    assert abs(rig.applied["z"] - 20.0) < 1.0
+
+
+async def test_macros_that_are_emptied_end_the_reference(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    async with running(bench.rig()) as rig:
+        await followed(rig, bench)
+        for number in (*range(500, 580), *range(590, 600)):
+            bench.nc.macros.set(number, 0.0)
+        await rig.follow(-20.0, -20.0, 5)
+        assert rig.state == "FAULT" and rig.acknowledge("a person") == ""
+        await rig.follow(-20.0, -20.0, 60)
+        assert rig.state == "HOLD" and "somebody has put back or emptied" in rig.control.reference_ended
+        assert rig.applied == {"x": 0.0, "y": 20.0, "z": 20.0}
+
+
+@pytest.mark.parametrize("block", [503, 504, 505, 506])
+async def test_a_foreign_value_in_the_block_alone_leaves_the_reference(tmp_path: Path, block: int) -> None:
+    bench = Bench(tmp_path)
+    async with running(bench.rig()) as rig:
+        await followed(rig, bench)
+        bench.nc.macros.set(block, 0.001)
+        await rig.follow(-20.0, -20.0, 5)
+        assert rig.state == "FAULT" and rig.acknowledge("a person") == ""
+        await rig.follow(-22.0, -22.0, 20)
+        assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(22.0, abs=0.11)
 
 
 @pytest.mark.parametrize("has_a_past", [False, True])
