@@ -255,9 +255,9 @@ def _time_keys(columns: dict[str, list[str]], described: dict[str, str], notes: 
             ):
                 notes.append(f"{name!r} is taken to be {zone}")
             return keys
-    for name in times:
+    for name in (*times, *dates):
         found = [number for text in columns[name] if (number := _number(text)) is not None]
-        if _numbers(columns[name]) and _increases(found):
+        if _numbers(columns[name]) and _increases(found) and (name in times or are_days(found)):
             if are_days(found):
                 notes.append(f"{name!r} is taken to be in days, as spreadsheets count dates")
                 return {"time": name, "time_unit": "d"}

@@ -9,6 +9,7 @@ recording is of.
 
 import csv
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -55,6 +56,8 @@ FIRST_ROW = 2
 """Line of the row after the header, where nothing stands before it."""
 LARGEST = 1e9
 """No sensor says more, in whatever unit; what stands for a missing value may."""
+_WITH_THOUSANDS = re.compile(r"[+-]?\d{1,3}(['\u2019\s]\d{3})+([.,]\d*)?")
+_WITH_UNIT = re.compile(r"[+-]?\d+([.,]\d*)?\s*([°℃℉%µμ]|[a-z])[a-z/]*", re.IGNORECASE)
 
 
 def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Recording:
@@ -297,6 +300,10 @@ def _advice(text: str, decimal: str | None) -> str:
             "the map says that the decimal mark is a comma; where the point separates thousands, export without such "
             "points, where it is the decimal mark, say decimal: '.' in the map"
         )
+    if _WITH_THOUSANDS.fullmatch(text):
+        return "where a mark separates thousands, export without it"
+    if _WITH_UNIT.fullmatch(text):
+        return "write the number alone, and its unit into the name of the column"
     return f"where it stands for a missing value, say missing: [{text[:40]!r}] in the map, or leave the field empty"
 
 

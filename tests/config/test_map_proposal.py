@@ -195,3 +195,9 @@ def test_a_temperature_that_cannot_be_is_left_out_where_the_others_can() -> None
     assert any("'Pt02 (°C)' is left out: it reads 3276.7" in note for note in found.notes)
     tenths = propose_map(header, [["0", "236", "231", "0"], ["1", "237", "231", "1"]])
     assert tenths.keys["temperatures"] == ["Pt01 (°C)", "Pt02 (°C)"], "a unit is wrong in all of them: reading says so"
+
+
+def test_a_date_that_a_spreadsheet_counts_is_the_time() -> None:
+    found = propose_map(["Datum", "T1", "X_um"], rows("46320.300000", "46320.300347", fields=3))
+    assert (found.keys["time"], found.keys["time_unit"], found.lacking) == ("Datum", "d", ())
+    assert propose_map(["Tag", "T1", "X_um"], rows("1", "2", fields=3)).lacking == ("time",)

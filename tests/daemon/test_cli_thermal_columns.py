@@ -247,3 +247,21 @@ def test_the_command_that_a_refusal_advises_proposes_the_map(tmp_path: Path, mon
     foreign(tmp_path / "RECORDING", 1)
     result = thermal(*advised[2:], "--model", "ridge")
     assert "Missing option" not in result.stderr and (tmp_path / "map.yaml").is_file(), result.stderr
+
+
+@pytest.mark.parametrize(("name", "encoding"), [("T{} [°F]", "utf-8"), ("T{}", "utf-16")])
+def test_usual_names_with_a_unit_or_an_encoding_of_their_own_become_a_model_in_one_go(
+    tmp_path: Path, name: str, encoding: str
+) -> None:
+    files = []
+    for number in range(3):
+        rows = [line.split(";")[2:] for line in foreign(tmp_path / "tag.csv", number).read_text("utf-8").splitlines()]
+        header = ["time_s", "rpm", *(name.format(place) for place in range(1, 5)), "Z_um"]
+        lines = [header, *([str(60 * minute), *fields] for minute, fields in enumerate(rows[1:]))]
+        files.append(tmp_path / f"day{number}.csv")
+        files[-1].write_text("\n".join(map(";".join, lines)), encoding=encoding)
+    out = tmp_path / "map.yaml"
+    result = thermal("train", *files, "--model", "ridge", "--map-out", out, "-o", tmp_path / "model.json")
+    assert result.exit_code == 0, result.output
+    units = {name.format(place): "degF" for place in range(1, 5)} if "F" in name else None
+    assert (load_recording_map(out).temperature_units, load_recording_map(out).encoding) == (units, encoding)

@@ -110,6 +110,11 @@ def test_times_count_from_the_first_row_in_seconds(tmp_path: Path, unit: str, fi
         ("t,c1,t1\n0,0,0\n", "day.csv:1: speed: there is no column 'rpm'"),
         (GOOD + "30,0,1,20\n", "day.csv:4: has 4 fields where the header has 5"),
         (GOOD + "30,0,abc,20,21\n", "day.csv:4: column c1: 'abc' is not a number"),
+        (GOOD + "30,5'903,1,20,21\n", '"5\'903" is not a number; where a mark separates thousands, export'),
+        (
+            GOOD + "30,0,1,20.5 °C,21\n",
+            "column t1: '20.5 °C' is not a number; write the number alone, and its unit into",
+        ),
         (GOOD + "30,0,1,20,inf\n", "day.csv:4: column t2: 'inf' is not a possible value"),
         (GOOD + "30,0,1,20,-1e308\n", "day.csv:4: column t2: '-1e308' is not a possible value"),
         (GOOD + ",0,1,20,21\n", "day.csv:4: column t: is empty; every row needs its time"),

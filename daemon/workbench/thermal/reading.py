@@ -151,14 +151,14 @@ def proposal(path: Path) -> tuple[MapProposal, list[str] | None]:
         except EncodingError:
             if encoding == ENCODINGS[-1]:
                 raise
+    found = propose_map(header, rows, encoding)
     try:
         usual = usual_map(header)
+        columns = {kind: names for kind, names in matching_names(usual, header).items() if kind in KINDS and names}
     except ColumnError:
-        return propose_map(header, rows, encoding), None
-    found = propose_map(header, rows, encoding)
+        return found, None
     if found.keys.get("unit_row"):
         return found, None
-    columns = {kind: names for kind, names in matching_names(usual, header).items() if kind in KINDS and names}
     keys = usual.model_dump(exclude_unset=True, exclude_none=True) | columns
     unread = []
     for kind in ("speed", *KINDS):
@@ -169,9 +169,8 @@ def proposal(path: Path) -> tuple[MapProposal, list[str] | None]:
         elif kind != "speed":
             keys |= {kind: [*keys.get(kind, ()), *new]} if new else {}
         unread += new
-    keys |= {
-        key: found.keys[key] for key in ("temperature_units", "displacement_units", "missing") if key in found.keys
-    }
+    said = ("temperature_units", "displacement_units", "missing", "encoding")
+    keys |= {key: found.keys[key] for key in said if key in found.keys}
     return MapProposal(keys=keys, left_out=(), lacking=(), notes=()), unread
 
 
