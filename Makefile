@@ -47,7 +47,8 @@ test-all: $(VENV)/.installed-dev
 TIMES ?= 60
 histories: $(VENV)/.installed-dev
 	$(PYTEST) --dist load -m slow --histories $(TIMES) \
-	  tests/daemon/test_truth_of_combined_faults.py tests/daemon/test_truth_after_bad_input.py
+	  tests/daemon/test_truth_of_combined_faults.py tests/daemon/test_truth_after_bad_input.py \
+	  tests/daemon/test_cnc_histories.py
 	$(PYTEST) --histories $(TIMES) tests/models/test_compensation_truth.py
 
 # Kills, power cuts, full disks, clocks that are set, lost wires, on real processes and wires; about an hour and a half.
