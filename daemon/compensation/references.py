@@ -63,7 +63,9 @@ class References:
         macros = configuration.cnc.macros
         self._safe_flag, self._guard_status = macros.safe_flag, macros.echo_status
         self._echo = (macros.echo_time, *macros.echo_applied.values())
-        self._problems: list[str] = []
+        self._foreign: list[str] = []
+        self._positioned: tuple[str, list[float | None]] = ("", [])
+        """The latest reference that was asked for and does not count yet, and what the guard echoed then."""
         terms = [axis.tool_term for axis in configuration.compensation.axes.values() if axis.tool_term is not None]
         self._expanding = frozenset(label for term in terms for label in term.temperatures)
         self._clock = clock
@@ -121,20 +123,27 @@ class References:
         """The latest poll, with the part program's block while a program of the guard runs."""
         return self.memory.sample
 
-    async def on_poll(self, cnc: Cnc, polled: CncSample, asked_s: float, problems: list[str]) -> None:
-        """Take one poll of the CNC, asked for at `asked_s` [s], and which of our macros it found vacant or foreign."""
-        if moved := await self._own_offset.changed(cnc, polled.macros) or self._echo_overwritten(polled, problems):
+    async def on_poll(
+        self, cnc: Cnc, polled: CncSample, asked_s: float, foreign: list[str], counted_id: str | None
+    ) -> None:
+        """Take one poll, asked for at `asked_s` [s], what was foreign in it, and what the CNC's block counts from."""
+        if moved := await self._own_offset.changed(cnc, polled.macros) or self._unfit(polled, foreign, counted_id):
             self.end(moved)
         self.on_sample(polled, asked_s)
 
-    def _echo_overwritten(self, polled: CncSample, problems: list[str]) -> str:
-        """Return why the echo is none of the guard's, '' when it may be; a time of before a power cycle is no time."""
-        before, known, self._problems = self.sample or polled, self._problems, problems
+    def _unfit(self, polled: CncSample, foreign: list[str], counted_id: str | None) -> str:
+        """Return why nothing may count from this echo, '' when it may; a time of before a power cycle is no time."""
+        before, known, self._foreign = self.sample or polled, self._foreign, foreign
         (then_s, *then), (now_s, *now) = ([each.macros.get(n) for n in self._echo] for each in (before, polled))
         went_back = then_s is not None and now_s is not None and now_s < then_s <= before.clock_s
-        if not went_back and (problems in ([], known) or then == now):
-            return ""
-        return "somebody has put back or emptied the guard's macros, so what is applied is not known"
+        if went_back or (foreign not in ([], known) and then != now):
+            return "somebody has put back or emptied the guard's macros, so what is applied is not known"
+        identity, stood = self._positioned
+        if counted_id == identity:
+            self._positioned = ("", stood)
+        elif self.current is not None and self.current.reference_id == identity and stood != now:
+            return "the guard moved the axes between the positioning and its reference, which came late"
+        return ""
 
     def on_sample(self, polled: CncSample, asked_s: float) -> None:
         """Take one poll of the CNC, for which it was asked at `asked_s` [s]."""
@@ -280,8 +289,10 @@ class References:
     def _carry_out(self, effect: Effect) -> None:
         if isinstance(effect, Announcement):
             self._journal.say(effect.kind, effect.text)
-        else:
-            self._tell_thermal(effect)
+            return
+        if isinstance(effect, ReferenceRequest) and self.sample is not None:
+            self._positioned = effect.reference_id, [self.sample.macros.get(n) for n in self._echo[1:]]
+        self._tell_thermal(effect)
 
 
 def new_id() -> str:

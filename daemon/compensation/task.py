@@ -214,7 +214,8 @@ class ControlTask:
         self._echo_watch.seen(session.echo, sample.time)
         self.journal.raise_fault(*problems)
         self.guard_watch.follow(session.echo, sample)
-        await self._references.on_poll(session.cnc, sample, asked_s, problems)
+        counted_id = None if self.memory is None or self.memory.settling else self.memory.reference_id
+        await self._references.on_poll(session.cnc, sample, asked_s, problems, counted_id)
         self._measured.on_sample(sample, session.echo, self._estimate)
         await self._desk.look(session)
         if self.memory is None:

@@ -191,20 +191,20 @@ def encode_value(value: float | None) -> bytes:
     raise OverflowError(f"{value} has more digits than the protocol carries")
 
 
-def parse_values(data: bytes, count: int) -> list[float | None]:
-    """Return `count` values, None where vacant; raises FocasFormatError for another length, base or exponent."""
+def parse_values(data: bytes, count: int, first: int = 1) -> list[float | None]:
+    """Return `count` values from number `first` on, None: vacant; raises FocasFormatError: length, base, exponent."""
     if len(data) != count * _VALUE.size:
         raise FocasFormatError(f"{count} values take {count * _VALUE.size} bytes, not {len(data)}")
     values: list[float | None] = []
     for mantissa, base, exponent in _VALUE.iter_unpack(data):
         if base not in LARGEST_EXPONENT:
-            raise FocasFormatError(f"a value of base {base}: it is 2 or 10")
+            raise FocasFormatError(f"value #{first + len(values)} is of base {base}: it is 2 or 10")
         if exponent == VACANT_EXPONENT:
             values.append(None)
         elif 0 <= exponent <= LARGEST_EXPONENT[base]:
             values.append(mantissa / base**exponent)
         else:
-            raise FocasFormatError(f"a value of exponent {exponent}")
+            raise FocasFormatError(f"value #{first + len(values)} is of exponent {exponent}")
     return values
 
 

@@ -98,7 +98,7 @@ def macro_values(asked: Sequence[tuple[range, Ask]], answers: Sequence[Answer]) 
         if answer.error:
             last = f" to #{run[-1]}" if len(run) > 1 else ""
             raise unreadable(f"macro variable #{run.start}{last}", answer.error)
-        values.update(zip(run, parse_values(answer.data, len(run)), strict=True))
+        values.update(zip(run, parse_values(answer.data, len(run), run.start), strict=True))
     return values
 
 

@@ -119,20 +119,20 @@ def parse_answer(line: str) -> Answer | Unknown | None:
     if query is not Query.MACRO:
         return Answer(query, fields)
     if len(fields) == 2:
-        return Answer(query, fields, None, _value(fields[1]))
+        return Answer(query, fields, None, _value(fields[1], line))
     if len(fields) != 3 or not fields[1].isdecimal():
         raise HaasFormatError(f"{line!r} is no macro variable with its value")
-    return Answer(query, fields, int(fields[1]), _value(fields[2]))
+    return Answer(query, fields, int(fields[1]), _value(fields[2], line))
 
 
-def _value(text: str) -> float | None:
+def _value(text: str, line: str) -> float | None:
     if not text:
         return None
     if not _NUMBER.fullmatch(text):
-        raise HaasFormatError(f"{text!r} is no number")
+        raise HaasFormatError(f"{line!r}: {text!r} is no number")
     value = float(text)
     if not (math.isfinite(value) and abs(value) < LARGEST_VALUE):
-        raise HaasFormatError(f"{text!r} is no value")
+        raise HaasFormatError(f"{line!r}: {text!r} is no value")
     return value
 
 

@@ -105,26 +105,11 @@ TRANSITIONS: dict[ReferenceState, tuple[tuple[Condition, ReferenceState], ...]] 
 def on_sample(
     memory: ReferenceMemory, polled: CncSample, rules: ReferenceRules, *, asked_s: float, new_id: Callable[[], str]
 ) -> Step:
-    """Take one poll of the CNC: a positioning may have passed, or the reference have ended.
+    """Take one poll of the CNC: a positioning may have passed, or the reference have ended; return memory and effects.
 
-    Parameters
-    ----------
-    memory
-        From the previous event.
-    polled
-        The poll.
-    rules
-        Where the work is positioned.
-    asked_s
-        Monotonic time at which the control was asked for it [s]; what it shows is no older.
-    new_id
-        Gives the identity of the reference that is asked for, if one is.
-
-    Returns
-    -------
-    Step
-        Memory and effects.
-
+    `memory`: from the previous event. `polled`: the poll. `rules`: where the work is positioned. `asked_s`: monotonic
+    time at which the control was asked for it [s]; what it shows is no older. `new_id`: gives the identity of the
+    reference that is asked for, if one is.
     """
     previous, sample = memory.sample, in_part_program(memory.sample, polled, rules.guard_programs, rules.guard_blocks)
     missed = "" if previous is None else _missed(memory, previous, sample, rules)

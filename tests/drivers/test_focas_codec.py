@@ -23,7 +23,7 @@ from drivers.focas.codec import (
     parse_asks,
     parse_values,
 )
-from drivers.focas.requests import write_asks
+from drivers.focas.requests import macro_asks, macro_values, write_asks
 from drivers.power_on import CalendarError, power_on_count, power_on_utc_s
 
 OPEN = bytes.fromhex("A0A0A0A0 0001 0101 0002 0002")
@@ -97,3 +97,10 @@ def test_the_instant_of_power_on_is_calendar_minus_clock_and_keeps_its_number_ne
             power_on_utc_s(date, time, 0.0)
     assert [power_on_count(at, None) for at in (599.9, 600.0)] == [0, 1]
     assert [power_on_count(at, 1) for at in (541.0, 1259.0, 539.0, 1261.0)] == [1, 1, 0, 2]
+
+
+def test_a_wrong_value_is_told_with_its_macro_variable() -> None:
+    values = encode_value(1.0) + struct.pack(">ihh", 5, 7, 0)
+    asked = macro_asks([502, 503])
+    with pytest.raises(FocasFormatError, match=r"#503 is of base 7"):
+        macro_values(asked, [Answer(0, values)])

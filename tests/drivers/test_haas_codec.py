@@ -63,6 +63,11 @@ def test_an_answer_that_cannot_be_is_refused(line: str) -> None:
         parse_answer(line)
 
 
+def test_a_wrong_value_is_told_with_its_macro_variable() -> None:
+    with pytest.raises(HaasFormatError, match=r"'MACRO, 503, 0\.0x': '0\.0x' is no number"):
+        parse_answer("MACRO, 503, 0.0x")
+
+
 @given(st.binary(max_size=80))
 def test_any_bytes_are_lines_or_refused(data: bytes) -> None:
     for line in LineBuffer().feed(data):

@@ -1,0 +1,42 @@
+"""The guard moves an axis after the work was positioned, before its reference counts."""
+
+from pathlib import Path
+
+import pytest
+from control_rig import Bench, running
+
+from daemon.messages import ReferenceRequest
+
+
+@pytest.mark.parametrize("lost", [False, True], ids=["answered late", "written late"])
+async def test_a_guard_between_the_positioning_and_its_reference_ends_it(tmp_path: Path, lost: bool) -> None:
+    """Loading a model or the history keeps the estimation for seconds, and a lost link the new block."""
+    bench = Bench(tmp_path)
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        await rig.follow(0.0, -20.0, 8)  # on its way, at its slew
+        rig.nc.sequence_number = 100
+        await rig.turn(rig.estimate(0.0, -20.0), safe=False)
+        asked = next(item for item in reversed(rig.asked) if isinstance(item, ReferenceRequest))
+        for _ in range(5):
+            await rig.turn(rig.estimate(0.0, -20.0), safe=False)
+        stood_um = rig.applied["z"]
+        rig.nc.sequence_number = 900
+        if lost:
+            rig.set_reference(asked.reference_id)
+            rig.nc.groups_until_lost = 0
+            await rig.turn(rig.estimate(0.0, 0.0))
+            await rig.connected()
+        else:
+            await rig.follow(0.0, -20.0, 2)
+            rig.set_reference(asked.reference_id)
+        await rig.turn(rig.estimate(0.0, 0.0), safe=False)
+        await rig.follow(0.0, 0.0, 20)
+        assert lost or abs(rig.applied["z"] - stood_um) > 1.0
+        assert rig.state == "HOLD" and "between the positioning and its reference" in rig.control.reference_ended
+        rig.nc.sequence_number = 100
+        await rig.turn(rig.estimate(0.0, 0.0))
+        stood_um = rig.applied["z"]
+        rig.set_reference(next(item.reference_id for item in reversed(rig.asked) if isinstance(item, ReferenceRequest)))
+        await rig.follow(0.0, 0.0, 12)
+        assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(stood_um, abs=0.11)
