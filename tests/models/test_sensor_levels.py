@@ -125,3 +125,35 @@ def test_a_sensor_that_jumps_back_but_for_what_changed_meanwhile_keeps_no_more_o
     assert levels.shift_k[0] == pytest.approx(1.3) and levels.degc[0] == pytest.approx(20.0)
     assert levels.uncertainty_k[0] == pytest.approx(0.0 if positioned else 0.5)
     assert unshifted(levels, 800.0, np.array([27.5, 20.0, 20.0]))[0] == pytest.approx(20.0)
+
+
+def went_silent(count: int, rise_k: float, constant_min: float, away_min: float) -> SensorLevels:
+    """Levels of sensors each alone on its component, after the first has warmed for 10 min and then been silent."""
+
+    def degc(minute: float) -> FloatArray:
+        return 20.0 + np.where(np.arange(count) == 0, rise_k * (1.0 - np.exp(-minute / constant_min)), 0.0)
+
+    levels, lines, gone = first_levels(count), np.arange(count), np.arange(count) == 0
+    for minute in range(11):
+        levels = renewed_levels(levels, lines, seen(60.0 * minute, degc(minute)))
+    for minute in range(11, 10 + round(away_min)):
+        still = replace(seen(60.0 * minute, np.where(gone, np.nan, degc(minute))), stale=gone)
+        levels = renewed_levels(levels, lines, replace(still, at_s=np.where(gone, 600.0, 60.0 * minute)))
+    back_min = 10.0 + away_min
+    return renewed_levels(levels, lines, seen(60.0 * back_min, degc(back_min), returned=1))
+
+
+@pytest.mark.parametrize("away_min", [3.0, 10.0])
+def test_a_sensor_of_a_warm_up_that_slows_down_while_it_is_silent_is_itself(away_min: float) -> None:
+    """A straight line would have it 0.2 and 1.2 K farther than it is."""
+    assert not doubted(went_silent(4, rise_k=4.0, constant_min=8.0, away_min=away_min)).any()
+
+
+def test_a_sensor_that_stands_still_from_the_moment_it_falls_silent_is_as_near() -> None:
+    levels, lines, gone = first_levels(4), np.arange(4), np.arange(4) == 0
+    for minute in range(11):
+        levels = renewed_levels(levels, lines, seen(60.0 * minute, np.where(gone, 20.0 + 0.2 * minute, 20.0)))
+    away = replace(seen(720.0, np.where(gone, np.nan, 20.0)), stale=gone)
+    levels = renewed_levels(levels, lines, replace(away, at_s=np.where(gone, 600.0, 720.0)))
+    levels = renewed_levels(levels, lines, seen(2400.0, np.where(gone, 22.0, 20.0), returned=1))
+    assert not doubted(levels).any(), "a straight line would have it 6 K higher"
