@@ -1,11 +1,11 @@
 """Whether a sensor that returns counts on from its own past, or from where its neighbours let it be expected.
 
 A sensor that was away is expected to have gone on as before, ever less the longer it was away (a warm-up slows down,
-and the spindle may have stopped), but for what those beside it did otherwise. One that
-its own past explains counts as before. One at another level is another sensor, or it is wrong: its distance is taken
-off from then on (`shift_k`), and when it jumps back the shift is undone. Where neither past nor neighbours prove a
-level, `uncertainty_k` says by how much it may be wrong until the next reference. `jumps` says which sensors have jumped
-although they were heard all the time: what remembers the past is to remember it at their level of now.
+and the spindle may have stopped), but for what those beside it did otherwise. One that its own past explains counts as
+before. One at another level is another sensor, or it is wrong: its distance is taken off from then on (`shift_k`), and
+when it jumps back the shift is undone. Where neither past nor neighbours prove a level, `uncertainty_k` says by how
+much it may be wrong until the next reference. `jumps` says which sensors have jumped although they were heard all the
+time: what remembers the past is to remember it at their level of now.
 """
 
 import math
@@ -347,9 +347,8 @@ def _wrong_since_s(jumps: list[tuple[float, int, float]], index: int, wrong_k: f
 
 
 def _expected_degc(then: Left, now_s: float) -> FloatArray:
-    away_s = max(now_s - then.at_s, 0.0)
-    going_on_min = TREND_FADES_S * -math.expm1(-away_s / TREND_FADES_S) / 60.0
-    return np.asarray(then.degc + then.trend_k_per_min * going_on_min)
+    going_on_s = TREND_FADES_S * -math.expm1(-max(now_s - then.at_s, 0.0) / TREND_FADES_S)
+    return np.asarray(then.degc + then.trend_k_per_min * going_on_s / 60.0)
 
 
 def _common_k(then: Left, line: GroupArray, degc: FloatArray, now_s: float) -> float:
