@@ -33,7 +33,8 @@ from models.thermal.training.train_family import train_family
 
 MINUTES = 18 * 60
 PAST_MIN = 240.0
-STEP_S = 30.0
+STEP_S = 40.0
+"""Below the minute after which temperatures count as stale."""
 STEPS_AT_ONCE = 60
 CHAINS = {"spindle": slice(0, 3), "column": slice(3, 5)}
 
@@ -121,8 +122,8 @@ def test_speed_is_an_input_of_a_model_that_needs_it(tmp_path, model, model_with_
 class Shop:
     """A machine, its store, and one thermal task after the other."""
 
-    def __init__(self, directory, model, *, by_load=False):
-        self.configuration, self.model = machine(directory), model
+    def __init__(self, directory, model, *, by_load=False, step_s=STEP_S):
+        self.configuration, self.model, self.step_s = machine(directory), model, step_s
         self.clock = HandClock()
         self.degc, self.rpm, _ = day(seed=7, by_load=by_load)
         self.minute = 0.0
@@ -155,11 +156,11 @@ class Shop:
         await self.task.begin()
 
     async def run(self, minutes, *, speed=True):
-        for step in range(round(minutes * 60.0 / STEP_S)):
+        for step in range(round(minutes * 60.0 / self.step_s)):
             if step % STEPS_AT_ONCE == 0:
                 await self.history.flushed()  # a real hour leaves the store more time than this one
-            self.clock.monotonic_s += STEP_S
-            self.minute += STEP_S / 60.0
+            self.clock.monotonic_s += self.step_s
+            self.minute += self.step_s / 60.0
             row = min(int(self.minute), len(self.rpm) - 1)
             now = self.clock.now()
             if speed:
@@ -213,7 +214,7 @@ def sample(now, rpm):
 
 
 async def test_a_machine_that_was_off_over_night_is_followed_from_its_first_reference(tmp_path, model_with_speed):
-    shop = Shop(tmp_path, model_with_speed, by_load=True)
+    shop = Shop(tmp_path, model_with_speed, by_load=True, step_s=30.0)
     await shop.prepare()
     await shop.run(2)
     assert shop.task.inhibit() == "", "it stands as it stood when its recording began"
@@ -259,7 +260,7 @@ async def test_an_edited_configuration_leaves_nothing_of_another_variable_in_the
 async def test_a_warm_machine_without_a_past_is_doubted_says_what_it_needs_and_has_a_wider_band(
     tmp_path, model_with_speed
 ):
-    shop = Shop(tmp_path, model_with_speed, by_load=True)
+    shop = Shop(tmp_path, model_with_speed, by_load=True, step_s=30.0)
     shop.degc, shop.rpm, _ = day(seed=1, by_load=True)
     shop.minute = 75.0
     await shop.prepare()
