@@ -48,7 +48,8 @@ class LinkHealth:
         """Note that the link does not work; every loss is said, a failed attempt when its problem is a new one."""
         was_up, is_new = self.up, problem != self.problem
         self.up, self.problem = False, problem
-        self.last_problem, self.last_problem_utc_s = problem, utc_s
+        if was_up or not self.losses:  # when it is back, what it was lost by counts, and no attempt since
+            self.last_problem, self.last_problem_utc_s = problem, utc_s
         self.losses += was_up
         if was_up or is_new:
             self._log(("link.lost" if was_up else "link.down", {"problem": problem}))

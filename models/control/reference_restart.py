@@ -55,24 +55,11 @@ def restart(
 ) -> Step:
     """Go on from what the previous run of the daemon left, as far as it still holds.
 
-    Parameters
-    ----------
-    memory
-        With the first poll; a reference that was set since the start stays.
-    left
-        What was kept.
-    rules
-        The configuration of now.
-    axes, model_id
-        What the output is made for now.
-    request_counter
-        The handshake's counter in the first poll.
+    Result: VALID with the reference, ENDED with one that tool settings count from, or unchanged.
 
-    Returns
-    -------
-    Step
-        VALID with the reference, ENDED with one that tool settings count from, or unchanged.
-
+    `memory`: with the first poll; a reference that was set since the start stays. `left`: what was kept. `rules`: the
+    configuration of now. `axes`, `model_id`: what the output is made for now. `request_counter`: the handshake's
+    counter in the first poll.
     """
     record, sample = left.record, memory.sample
     if record is None or sample is None or memory.record is not None:

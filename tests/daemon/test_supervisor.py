@@ -64,6 +64,18 @@ async def test_the_same_problem_is_logged_once_and_shown_as_it_is():
     assert len([entry for entry in logs if entry["event"] == "link.down"]) == 1
 
 
+async def test_a_link_that_is_back_tells_by_what_and_when_it_was_lost():
+    health = LinkHealth("made up")
+    for problem, utc_s in (("no such port", 1.0), ("no permission", 2.0)):
+        health.went_down(problem, utc_s)
+    assert (health.last_problem, health.last_problem_utc_s) == ("no permission", 2.0)
+    health.came_up()
+    for problem, utc_s in (("the node does not answer", 10.0), ("no such port", 20.0)):
+        health.went_down(problem, utc_s)
+    health.came_up()
+    assert (health.last_problem, health.last_problem_utc_s) == ("the node does not answer", 10.0)
+
+
 async def flap(times, problem, **kwargs):
     """Let a link come up and be lost with the same words again and again, and stay up in the end."""
     health, left, reached = LinkHealth("made up"), times, asyncio.Event()

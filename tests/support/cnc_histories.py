@@ -21,7 +21,7 @@ import numpy as np
 from control_rig import SENSOR_IDS, Bench, Rig, record_for, running
 from guard_bench import KeptTable
 from memory_cnc import MemoryNc
-from nc_requests import ACKNOWLEDGE, AXIS, COUNTER, KIND, REFERENCE, VALUE
+from nc_requests import ACKNOWLEDGE, AXIS, COUNTER, KIND, PROBE, REFERENCE, VALUE
 
 from config.records.commissioning import CommissionedAxis
 from config.schema.cnc import CncConfig
@@ -52,6 +52,8 @@ AXES = {"y": 1, "z": 2}
 COUNTED = 560
 """Macro that the program raises before every positioning, where it counts them."""
 RUN_CODES = {CncRun.RESET: 0, CncRun.STOP: 1, CncRun.HOLD: 2, CncRun.START: 3}
+PROBES = 60
+"""N number of the block at which the work is measured."""
 FACTORS = (1.0, 1.0, -1.0, 0.5)
 """Axes as they usually are, one that goes the other way, and one of diameters."""
 WAITS = 24
@@ -245,13 +247,15 @@ class Judge:
         """The program has just positioned the work of the active work offset."""
         self.then[nc.work_offset] = self.tool(nc.guard)
 
+    def gone(self, nc: MemoryNc) -> dict[str, float] | None:
+        """Return how far the tool stands from where it stood when the work was positioned; None: it never was."""
+        now, then = self.tool(nc.guard), self.then.get(nc.work_offset)
+        return None if then is None else {axis: now[axis] - then[axis] for axis in AXES}
+
     def off_um(self, nc: MemoryNc, axes: Sequence[str]) -> float:
-        """Return how far the tool stands from where it stood when the work was positioned, on the worst of the axes."""
-        then = self.then.get(nc.work_offset)
-        if then is None:
-            return math.inf
-        now = self.tool(nc.guard)
-        return max((abs(now[axis] - then[axis]) for axis in axes), default=0.0)
+        """Return the same without sign, of the worst of these axes."""
+        gone = self.gone(nc)
+        return math.inf if gone is None else max((abs(gone[axis]) for axis in axes), default=0.0)
 
     def look(self, guard: SafePointApplication) -> None:
         """Count a motion."""
@@ -315,6 +319,8 @@ class PartProgram:
             self._position()
         elif self.block.number == 900:
             await self._call_guard()
+        elif self.block.number == PROBES:
+            self._probe()
 
     def _position(self) -> None:
         shop, macros = self.shop, self.shop.nc.macros
@@ -323,14 +329,24 @@ class PartProgram:
         shop.judge.positioned(shop.nc)
         shop.said.append((shop.turn_number, f"positioned {shop.applied()}"))
         if shop.tells == "handshake":
-            self.asked = int(abs(macros.get(COUNTER) or 0.0)) % 9999 + 1
-            for number, value in ((KIND, REFERENCE), (AXIS, 0), (VALUE, 0.0), (COUNTER, self.asked)):
-                macros.set(number, float(value))
-            self.block.turns = WAITS
+            self._ask(REFERENCE)
+
+    def _probe(self) -> None:
+        """Measure how far the tool stands from where it was, along one axis, and hand it over."""
+        axis = self.rng.choice(list(AXES))
+        if (now := self.shop.judge.gone(self.shop.nc)) is not None:
+            self._ask(PROBE, AXES[axis] + 1, now[axis] / 1000.0)
+
+    def _ask(self, kind: int, axis: int = 0, value_mm: float = 0.0) -> None:
+        macros = self.shop.nc.macros
+        self.asked = int(abs(macros.get(COUNTER) or 0.0)) % 9999 + 1
+        for number, value in ((KIND, kind), (AXIS, axis), (VALUE, value_mm), (COUNTER, self.asked)):
+            macros.set(number, float(value))
+        self.block.turns = WAITS
 
     def answered(self) -> None:
-        """Look for the answer, as the request program does."""
-        if self.shop.tells != "handshake" or self.block.number != 100 or not self.asked:
+        """Look for the answer, as the request program does, which gives up after a while."""
+        if not self.asked or self.block.number not in (100, PROBES):
             return
         macros = self.shop.nc.macros
         if abs(macros.get(ACKNOWLEDGE) or 0.0) == self.asked:
@@ -547,6 +563,7 @@ class Shop:
                 self.undo.remove((at, undo))
         if now == BEFORE + ATTACKED:
             self.wire.calm()
+            self.program.broken_after = self.program.watched_after = None
             if self.nc.run is not CncRun.START:
                 self.program.restart(from_the_top=self.rng.random() < 0.5)
         rig = self.rig
@@ -841,6 +858,11 @@ def keep_backup(shop: Shop) -> None:
     shop.undo.append((shop.turn_number + shop.rng.randrange(5, 40), lambda: restored(shop)))
 
 
+def probes(shop: Shop) -> None:
+    """The program measures the work at its next block, and waits until the daemon has taken it."""
+    shop.program.ahead.insert(0, Block(PROBES, 1))
+
+
 EVENTS: dict[str, Callable[[Shop], None]] = {
     "foreign block": somebody_writes(BLOCK),
     "two foreign in the block": somebody_writes(BLOCK, 2),
@@ -873,6 +895,8 @@ EVENTS: dict[str, Callable[[Shop], None]] = {
     "another block": shows("sequence_number", 900, 20),
     "another tool": shows("tool_number", 5),
     "macro refused": refuses,
+    "probe": probes,
+    "probe again": probes,
     "daemon asleep": sleeps,
     "daemon restarted": restarts,
     "daemon restarted late": restarts_late,
