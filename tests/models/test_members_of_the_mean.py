@@ -67,6 +67,33 @@ def test_the_default_says_what_it_tried_and_is_no_worse(runs: list[Recording], t
     assert default.trust.held_out_relative_rmse <= trained.trust.held_out_relative_rmse + 0.02
 
 
+@pytest.mark.parametrize("turning", [False, True])
+def test_of_a_single_run_a_ridge_is_taken_that_leaves_less_of_other_days(runs: list[Recording], turning: bool) -> None:
+    """Parts of one run are alike in what differs between days: judged by them, lags look better than they are."""
+    speed = np.where(np.arange(MINUTES) % 25 < 12, 3000.0, 0.0) if turning else None
+    days = []
+    for number, run in enumerate(runs):
+        rng = np.random.default_rng(50 + number)
+        degc = 22.0 + np.cumsum(rng.normal(0.0, 0.15, (MINUTES, SENSORS)), axis=0)
+        unseen_um = np.cumsum(np.cumsum(rng.normal(0.0, 0.002, (MINUTES, 2)), axis=0), axis=0)
+        um = (degc - degc[0]) @ np.random.default_rng(4).normal(0.0, 2.0, (SENSORS, 2)) + unseen_um
+        measured_degc = degc + rng.normal(0.0, 0.02, degc.shape)
+        days.append(replace(run, temperatures_degc=measured_degc, displacements_um=um, speed_rpm=speed))
+    left = {}
+    for family in ("default", "lags"):
+        made = train_family(days[:1], family, sample_s=60.0, created="2026-01-01T00:00:00Z")
+        assert isinstance(made.model, LinearModel)
+        left[family] = 0.0
+        for day in days[1:]:
+            measured_um = day.displacements_um - day.displacements_um[0]
+            estimated_um = made.model.recorded_um(day.time_s / 60.0, day.temperatures_degc, day.speed_rpm, 0)
+            left[family] += float(np.square(measured_um - estimated_um).sum() / np.square(measured_um).sum())
+        if family == "default":
+            assert made.choice is not None and made.choice.family == "ridge"
+            assert "may lead astray on another day: ridge is taken" in made.choice.why
+    assert left["default"] < 0.2 * left["lags"]
+
+
 def test_members_are_all_that_are_nearly_as_good_as_the_best() -> None:
     assert members([0.20, 0.19]) == [0, 1]
     assert members([0.40, 0.40 * MEMBER_FACTOR + 1e-9]) == [0]

@@ -50,7 +50,9 @@ PLAIN_BETTER = 1.0
 WATCH_IS_WORTH = 0.02
 """A family of which no sensor can be left out, so that none can be watched, must leave so much less of the error."""
 FEWEST_TO_MIX = 3
-"""With fewer independent folds scores are too few to mix families by."""
+"""With fewer independent folds scores are too few to mix families by ..."""
+FEWEST_CYCLES_OF_ONE_RUN = 4
+"""... and with fewer spindle cycles of a single run to take lags by: these are alike in what differs between days."""
 BETTER_IN_BOTH = 0.8
 """Of two runs one family must leave less than this share of what another leaves, in each of them when only the other
 was trained on."""
@@ -201,8 +203,8 @@ class ChosenProblem:
             chosen = mean_of("lags", self._ridges(speed=with_speed, lagged=True), self._inputs, self._rows, mixed=False)
             others = [chosen]
             why = (
-                "fewer than three whole runs or cycles can be left out, too few to choose a family by; taken is the "
-                "mean of ridges on lags, which needs no choice"
+                "fewer than three whole runs or cycles can be left out, too few to choose members by, so the mean of "
+                "ridges on lags has all alike"
             )
             if self._families == ("gaussian",):
                 why = f"gaussian was asked for by name, but the model holds no Gaussian process: {why}"
@@ -214,32 +216,55 @@ class ChosenProblem:
             why = "; ".join(reasons) or f"{chosen.family} was asked for by name"
         if best_plain is None:
             return chosen, others, why
-        if (both := self._of_two_runs(best_plain, chosen)) is not None:
+        if (both := self._of_two(best_plain, chosen)) is not None:
             chosen, reason = both
             others += [chosen] if chosen not in (best_plain, *others) else []
             return chosen, others, "; ".join([*reasons, reason])
-        if self._independent >= FEWEST_TO_MIX:
-            chosen, reason = simpler(best_plain, chosen)
-            why = "; ".join([*reasons, reason])
-        return chosen, others, why
+        if not self._tells_lags():
+            reasons.append(
+                f"fewer than three whole runs, or {FEWEST_CYCLES_OF_ONE_RUN} cycles of a single one, can be left out, "
+                f"and lags that do well within a run may lead astray on another day: {best_plain.family} is taken"
+            )
+            return best_plain, others, "; ".join(reasons)
+        chosen, reason = simpler(best_plain, chosen)
+        return chosen, others, "; ".join([*reasons, reason])
 
-    def _of_two_runs(self, plain: _Tried, other: _Tried) -> tuple[_Tried, str] | None:
-        """Return the one that is clearly better in each of two runs, else half of each, and why; None: not two runs.
+    def _halves(self) -> IntArray | None:
+        """Return in which half of the folds of a single run each row lies, -1 elsewhere; None: several runs."""
+        numbers = fold_numbers(self._rows, self._fold)
+        if len(np.unique(self._inputs.run[self._rows])) > 1 or not self._tells_lags():
+            return None
+        return np.where(self._fold < 0, -1, (self._fold >= numbers[len(numbers) // 2]).astype(np.intp))
+
+    def _tells_lags(self) -> bool:
+        """Return whether what can be left out tells of lags what they are worth on another day."""
+        if len(np.unique(self._inputs.run[self._rows])) > 1:
+            return self._independent >= FEWEST_TO_MIX
+        return self._inputs.speed_rpm is not None and self._independent >= FEWEST_CYCLES_OF_ONE_RUN
+
+    def _of_two(self, plain: _Tried, other: _Tried) -> tuple[_Tried, str] | None:
+        """Return the one that is clearly better in each of two runs or halves, else half of each; None: not two.
 
         Cycles and blocks of a run are alike in what differs between two: scored by them, what fits a run best wins.
         """
+        halves = self._halves()
+        groups = self._inputs.run if halves is None else halves
         if other.errors is None:
             return None
         found = []
         for one in (plain, other):
             inputs = part_of(self._inputs, one.layout.lags_min, one.layout.speed_lags_min)
-            fits = of_two_runs(inputs, self._rows, self._fold, one.fit)
+            if halves is None:
+                fits = of_two_runs(inputs, self._rows, self._fold, one.fit)
+            else:
+                fits = {half: one.fit(frozenset(self._fold[self._rows & (halves == half)].tolist())) for half in (0, 1)}
             if fits is None:
                 return None
-            errors = left_out_errors(inputs, self._rows, inputs.run, fits, self._probe_min)
-            found.append(np.array([relative(only(errors, run)) for run in fits]))
+            errors = left_out_errors(inputs, self._rows, groups, fits, self._probe_min)
+            found.append(np.array([relative(only(errors, number)) for number in fits]))
         of_plain, of_other = found
-        left = "of the two runs, each left out whole, {} leaves {:.1%} and {:.1%}, {} {:.1%} and {:.1%}"
+        two = "runs" if halves is None else "halves of the run"
+        left = f"of the two {two}, each left out whole, {{}} leaves {{:.1%}} and {{:.1%}}, {{}} {{:.1%}} and {{:.1%}}"
         said = left.format(other.family, *of_other, plain.family, *of_plain)
         if (of_other < BETTER_IN_BOTH * of_plain).all():
             return other, f"{said}: {other.family} leaves clearly less of both"
@@ -248,7 +273,7 @@ class ChosenProblem:
         alone = f", as no mean can hold {plain.family}: --model {plain.family} is that alone"
         return (
             self._half_ridge(other, other.errors),
-            f"{said}: two runs do not tell which is better, so it is half a ridge on temperatures"
+            f"{said}: two {two} do not tell which is better, so it is half a ridge on temperatures"
             f"{alone if plain.family != 'ridge' else ''}",
         )
 
