@@ -230,11 +230,12 @@ class ChosenProblem:
         return chosen, others, "; ".join([*reasons, reason])
 
     def _halves(self) -> IntArray | None:
-        """Return in which half of the folds of a single run each row lies, -1 elsewhere; None: several runs."""
-        numbers = fold_numbers(self._rows, self._fold)
-        if len(np.unique(self._inputs.run[self._rows])) > 1 or not self._tells_lags():
+        """Return in which half of the cycles of a single run each row lies, -1 elsewhere; None: too few, or several."""
+        several = len(np.unique(self._inputs.run[self._rows])) > 1
+        if several or not self._tells_lags() or self._independent < 2 * FEWEST_TO_MIX:
             return None
-        return np.where(self._fold < 0, -1, (self._fold >= numbers[len(numbers) // 2]).astype(np.intp))
+        second = fold_numbers(self._rows, self._fold)[self._independent // 2]
+        return np.where(self._fold < 0, -1, (self._fold >= second).astype(np.intp))
 
     def _tells_lags(self) -> bool:
         """Return whether what can be left out tells of lags what they are worth on another day."""
@@ -243,7 +244,9 @@ class ChosenProblem:
         return self._inputs.speed_rpm is not None and self._independent >= FEWEST_CYCLES_OF_ONE_RUN
 
     def _of_two(self, plain: _Tried, other: _Tried) -> tuple[_Tried, str] | None:
-        """Return the one that is clearly better in each of two runs or halves, else half of each; None: not two.
+        """Return the one that is clearly better in each of two runs, else half of each, and why; None: not two.
+
+        Of two halves of a run it is the simpler one where neither is clearly better in each.
 
         Cycles and blocks of a run are alike in what differs between two: scored by them, what fits a run best wins.
         """
@@ -270,10 +273,12 @@ class ChosenProblem:
             return other, f"{said}: {other.family} leaves clearly less of both"
         if (of_plain < BETTER_IN_BOTH * of_other).all():
             return plain, f"{said}: {plain.family} leaves clearly less of both"
+        if halves is not None:
+            return plain, f"{said}: not clearly less of both, so the simpler one is taken"
         alone = f", as no mean can hold {plain.family}: --model {plain.family} is that alone"
         return (
             self._half_ridge(other, other.errors),
-            f"{said}: two {two} do not tell which is better, so it is half a ridge on temperatures"
+            f"{said}: two runs do not tell which is better, so it is half a ridge on temperatures"
             f"{alone if plain.family != 'ridge' else ''}",
         )
 
