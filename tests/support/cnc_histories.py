@@ -577,7 +577,7 @@ class Shop:
     async def play(self) -> None:
         """Play the history to its end."""
         spread = range(BEFORE, BEFORE + ATTACKED)
-        self.plan = [self.rng.choice(spread) for _ in range(self.rng.choice((1, 1, 2, 2, 3, 5)))]
+        self.plan = [self.rng.choice(spread) for _ in range(self.rng.choice((1, 2, 3, 4, 5, 6)))]
         self.program.restart(from_the_top=True)
         self.program.block = Block(10, 6)
         while self.turn_number < BEFORE + ATTACKED + CALM:
@@ -863,6 +863,11 @@ def probes(shop: Shop) -> None:
     shop.program.ahead.insert(0, Block(PROBES, 1))
 
 
+def jump(shop: Shop) -> None:
+    """The machine grows by more than the output may follow at once."""
+    shop.judge.error[shop.rng.choice(list(AXES))] += shop.rng.choice([-8.0, 8.0])
+
+
 EVENTS: dict[str, Callable[[Shop], None]] = {
     "foreign block": somebody_writes(BLOCK),
     "two foreign in the block": somebody_writes(BLOCK, 2),
@@ -895,6 +900,7 @@ EVENTS: dict[str, Callable[[Shop], None]] = {
     "another block": shows("sequence_number", 900, 20),
     "another tool": shows("tool_number", 5),
     "macro refused": refuses,
+    **dict.fromkeys(("jump", "jump again", "jump then"), jump),
     "probe": probes,
     "probe again": probes,
     "daemon asleep": sleeps,
