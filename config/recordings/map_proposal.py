@@ -158,7 +158,7 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
     keys |= {"encoding": encoding} if encoding != "utf-8" else {}
     keys |= {"unit_row": True} if unit_row else {}
     texts = [name for name in columns if complete and name not in numbers and name not in taken]
-    unread = {name: _unread(name, written[name]) for name in texts if _kind(described[name]) is not None}
+    unread = {name: _unread(name, written[name], missing) for name in texts if _kind(described[name]) is not None}
     notes += unread.values()
     notes += [
         f"the unit of {name!r} is {unit}: a displacement (displacement_units: {{{name!r}: {unit}}}), or where an axis "
@@ -330,12 +330,13 @@ def _for_missing(texts: Sequence[str]) -> set[str]:
     known = [text for text in texts if _number(text) is not None]
     words = {text for text in texts if text and _number(text) is None}
     wordy = 2 * len(known) < len([text for text in texts if text])
-    return set() if wordy or any(mark.isdigit() for text in words for mark in text) else words
+    return set() if wordy else {text for text in words if text[0] == "#" or not any(mark.isdigit() for mark in text)}
 
 
-def _unread(name: str, texts: Sequence[str]) -> str:
+def _unread(name: str, texts: Sequence[str], missing: Sequence[str]) -> str:
     """Return why a column is left out whose name says what it is, and whose fields are no numbers."""
-    row, text = next(((n, each) for n, each in enumerate(texts, 1) if each and _number(each) is None), (1, ""))
+    wrong = [(n, each) for n, each in enumerate(texts, 1) if each and each not in missing and _number(each) is None]
+    row, text = wrong[0] if wrong else (1, texts[0])
     held = f"{text!r}" if text else "an empty field"
     if not any(_number(each) is not None for each in texts):
         rows = f"none of its first {len(texts)} rows holds a number, row {row} {held}"

@@ -201,3 +201,15 @@ def test_a_date_that_a_spreadsheet_counts_is_the_time() -> None:
     found = propose_map(["Datum", "T1", "X_um"], rows("46320.300000", "46320.300347", fields=3))
     assert (found.keys["time"], found.keys["time_unit"], found.lacking) == ("Datum", "d", ())
     assert propose_map(["Tag", "T1", "X_um"], rows("1", "2", fields=3)).lacking == ("time",)
+
+
+def test_a_field_that_is_wrong_keeps_no_other_from_standing_for_a_missing_value() -> None:
+    header = ["t_s", "T1", "T2", "X_um"]
+    fields = ["20.1", "OL", "20.3", "#DIV/0!", "20.4", "20.5", "---", "20.6", "20.7", "20.8"]
+    texts = [[str(second), text, "21.5", "0.1"] for second, text in enumerate(fields)]
+    found = propose_map(header, texts)
+    assert found.keys["missing"] == ["#DIV/0!", "---", "OL"] and found.keys["temperatures"] == ["T1", "T2"]
+    texts[4][1] = "2O.4"
+    found = propose_map(header, texts)
+    assert found.keys["missing"] == ["#DIV/0!", "---", "OL"] and found.keys["temperatures"] == ["T2"]
+    assert found.notes[0].startswith("'T1' is left out: row 5 holds '2O.4', which is no number")
