@@ -34,6 +34,7 @@ from models.control.reference_records import (
 )
 from models.control.state import OutputMemory
 from models.records import CncSample, FloatArray, Phase, Reference
+from models.thermal.estimation import UNSURE_UM
 
 KEPT_PERIOD_REAL_S = 10.0
 """How often the store gets what the CNC said [s of the wall clock]."""
@@ -138,12 +139,10 @@ class References:
         went_back = then_s is not None and now_s is not None and now_s < then_s <= before.clock_s
         if went_back or (foreign not in ([], known) and then != now):
             return "somebody has put back or emptied the guard's macros, so what is applied is not known"
-        identity, stood = self._positioned
-        if counted_id == identity:
-            self._positioned = ("", stood)
-        elif self.current is not None and self.current.reference_id == identity and stood != now:
-            return "the guard moved the axes between the positioning and its reference, which came late"
-        return ""
+        identity, stood = self._positioned = ("", now) if counted_id == self._positioned[0] else self._positioned
+        late = self.current is not None and self.current.reference_id == identity
+        moved = late and _farthest_um(stood, now) > UNSURE_UM
+        return "the guard moved the axes between the positioning and its reference, which came late" if moved else ""
 
     def on_sample(self, polled: CncSample, asked_s: float) -> None:
         """Take one poll of the CNC, for which it was asked at `asked_s` [s]."""
@@ -293,6 +292,11 @@ class References:
         if isinstance(effect, ReferenceRequest) and self.sample is not None:
             self._positioned = effect.reference_id, [self.sample.macros.get(n) for n in self._echo[1:]]
         self._tell_thermal(effect)
+
+
+def _farthest_um(then: list[float | None], now: list[float | None]) -> float:
+    """Return by how much an echo [mm] has changed, of the worst axis [um]; without a bound where one is vacant."""
+    return 1e3 * max(math.inf if a is None or b is None else abs(a - b) for a, b in zip(then, now, strict=True))
 
 
 def new_id() -> str:

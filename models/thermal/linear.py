@@ -261,14 +261,18 @@ class LinearOnline:
     def _readmit(self) -> tuple[int, ...]:
         """Let sensors that were found faulty count again from a new reference on; return their IDs.
 
-        What their lags and the watch remember is from when they were wrong: both begin where the others expect it.
+        What the watch remembers is from when they were wrong, and begins where the others expect it; lags where a
+        sensor stands farther from its own, as after a drift. Beyond training others expect wrongly, and blame wrongly.
         """
         if self._state is None or self._state.watch is None:
             return ()
         out = self._state.watch.excluded
         state = readmitted(self._state, out)
         if here := [i for i in out if not state.missing[i]]:
-            state = self._estimator.reinitialised(self._estimator.begun(state, here), here)
+            begun = self._estimator.begun(state, here)
+            own_k, begun_k = (np.abs(each.lagged - each.degc).max(axis=0, initial=0.0) for each in (state, begun))
+            lagged = np.where(own_k <= begun_k, state.lagged, begun.lagged)
+            state = self._estimator.reinitialised(replace(state, lagged=lagged), here)
         self._state = state
         return tuple(self.model.sensor_ids[i] for i in out)
 

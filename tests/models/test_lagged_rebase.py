@@ -248,6 +248,34 @@ def test_a_sensor_that_is_right_again_leaves_nothing_behind_once_the_work_is_pos
     assert excluded == []
 
 
+def test_a_healthy_sensor_that_was_blamed_goes_on_with_its_own_lags_once_the_work_is_positioned(
+    watching: LinearModel,
+) -> None:
+    """What the others expect of it is off beyond training: a campaign found 1.2 um."""
+    of, none = machine(5), np.zeros(SENSORS, dtype=bool)
+    assert of.speed_rpm is not None
+    table = of.temperatures_degc.copy()
+    table[REFERENCE - 10 :, [0, 1, 3, 4]] += 3.0  # coolant that reaches all others
+    estimates = []
+    for blamed in (False, True):
+        online = watching.runtime(Machine(components={}))
+        online.rebuild([(float(i), table[i], float(of.speed_rpm[i])) for i in range(REFERENCE)])
+        degc, at_min = table[REFERENCE], float(REFERENCE)
+        online.on_sample(at_min, degc, float(of.speed_rpm[REFERENCE]))
+        positioned = OnlineReference(time_min=at_min, now_min=at_min, degc=degc)
+        if blamed:
+            online.set_reference(replace(positioned, excluded={watching.sensor_ids[2]: "departure"}))
+        assert online.set_reference(positioned) == ((watching.sensor_ids[2],) if blamed else ())
+        errors = []
+        for row in range(REFERENCE + 1, REFERENCE + 10):
+            online.on_sample(float(row), table[row], float(of.speed_rpm[row]))
+            found, _ = online.estimate(float(row), table[row], none)
+            assert found is not None
+            errors.append(found.thermal_error_um)
+        estimates.append(np.array(errors))
+    np.testing.assert_allclose(estimates[1], estimates[0], atol=1e-9)
+
+
 def taken_up(
     model: LinearModel, *, gone_at_reference: bool = False, begins: int = 0
 ) -> tuple[list[FloatArray], list[tuple[int, ...]], float]:
