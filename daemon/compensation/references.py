@@ -18,7 +18,7 @@ from daemon.state_store.store import StateStore
 from drivers.clock import Clock
 from drivers.contract import Cnc
 from models.control import reference, reference_restart
-from models.control.program import phase_of
+from models.control.program import phase_of, power_cycled
 from models.control.reference_records import (
     Announcement,
     Effect,
@@ -137,7 +137,7 @@ class References:
         before, known, self._foreign = self.sample or polled, self._foreign, foreign
         (then_s, *then), (now_s, *now) = ([each.macros.get(n) for n in self._echo] for each in (before, polled))
         went_back = then_s is not None and now_s is not None and now_s < then_s <= before.clock_s
-        if went_back or (foreign not in ([], known) and then != now):
+        if (went_back or (foreign not in ([], known) and then != now)) and not power_cycled(before, polled):
             return "somebody has put back or emptied the guard's macros, so what is applied is not known"
         identity, stood = self._positioned = ("", now) if counted_id == self._positioned[0] else self._positioned
         late = self.current is not None and self.current.reference_id == identity
