@@ -19,10 +19,10 @@ class ServiceManager:
 
     def ready(self, status: str) -> None:
         self._untold = "READY=1\n"
-        self._send(f"STATUS={status}")
+        self._send(f"STATUS={' '.join(status.split())}")
 
     def watchdog(self, status: str) -> None:
-        self._send(f"WATCHDOG=1\nSTATUS={status}")
+        self._send(f"WATCHDOG=1\nSTATUS={' '.join(status.split())}")  # a second line would be a message of its own
 
     def stopping(self) -> None:
         self._send("STOPPING=1")

@@ -27,6 +27,18 @@ def test_messages_are_systemds(listener):
     assert received == [["READY=1", "STATUS=running"], ["WATCHDOG=1", "STATUS=ACTIVE"], ["STOPPING=1"]]
 
 
+def test_what_a_server_says_is_no_message_of_ours(listener):
+    """The status of a sink and of the plant's store holds sentences of a database or broker."""
+    manager = ServiceManager({"NOTIFY_SOCKET": listener.getsockname()})
+    manager.ready("sink plant: no\nMAINPID=1")
+    manager.watchdog("sink plant: no\r\nSTOPPING=1")
+    received = [listener.recv(1000).decode().split("\n") for _ in range(2)]
+    assert received == [
+        ["READY=1", "STATUS=sink plant: no MAINPID=1"],
+        ["WATCHDOG=1", "STATUS=sink plant: no STOPPING=1"],
+    ]
+
+
 def test_a_manager_that_does_not_read_holds_nothing_up(listener):
     manager = ServiceManager({"NOTIFY_SOCKET": listener.getsockname()})
     for _ in range(1000):
