@@ -17,7 +17,8 @@ import structlog
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 
-from cnc_histories import DIALECTS, played
+from cnc_histories import played
+from cnc_wire import DIALECTS
 from standard_nodes import loaded_once
 
 

@@ -4,7 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from cnc_histories import DIALECTS, Shop, played, serving
+from cnc_histories import Shop, played
+from cnc_wire import DIALECTS, serving
 
 SOME, MANY = {"haas": 1}, 2
 """Histories of each dialect that are always played, where not two, and those beyond them."""
