@@ -231,11 +231,14 @@ class MqttSink:
         assert self._opened is not None
         return self._opened[0]
 
-    def transfer(self, outbox: Outbox, progress: Progress) -> bool:
-        """Tell what is now, then send a batch of each stream; True while one of them had one."""
+    def needs_rows(self) -> bool:
         assert self._opened is not None
         for each in self._opened:
             each.check()
+        return True
+
+    def transfer(self, outbox: Outbox, progress: Progress) -> bool:
+        """Tell what is now, then send a batch of each stream; True while one of them has more."""
         self._store = progress.cursor.generation
         self._ahead.settle(progress)
         self._tell(outbox)
@@ -250,7 +253,7 @@ class MqttSink:
                 continue
             if self._send(batch):
                 self._ahead.took(batch)
-                more = True
+                more |= not batch.last
         self._ahead.settle(progress)
         if self._unread:
             raise SinkWaitsError(f"{self._where}: {nobody_subscribes(sorted(self._unread))}")

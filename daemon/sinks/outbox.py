@@ -28,6 +28,8 @@ ECHO_WAIT_MS = 600_000
 OUTCOME_WAIT_MS = 3_600_000
 """A write whose outcome is not known is sent without it when it is older than this."""
 DAY_MS = 86_400_000
+NO_ROW = 2**62
+"""Above every number of a row."""
 Row = tuple[Any, ...]
 
 
@@ -90,6 +92,8 @@ class Batch:
     rows: list[Row]
     after: Position
     """Where the stream stands when the sink has acknowledged them."""
+    last: bool = False
+    """Nothing that could be sent comes after it."""
 
     @property
     def newest_utc_s(self) -> float:
@@ -138,7 +142,7 @@ class Outbox(HistoryReader):
                 rows = self._unpacked(stream, layout_id, data)
                 return Batch(stream=stream, rows=rows, after=replace(position, chunk=chunk_id))
             next_chunk = self._chunk(connection, stream, "last_row_id", "last_row_id > ?", position.row)
-            before = 2**62 if next_chunk is None else next_chunk[0]
+            before = NO_ROW if next_chunk is None else next_chunk[0]
             if (raw := self._raw(connection, stream, position, before)) is not None:
                 return raw if raw.rows else None
             if next_chunk is None:
@@ -251,10 +255,11 @@ class Outbox(HistoryReader):
         ).fetchall()
         if not found:
             return None
+        last = before == NO_ROW and len(found) < self._rows_at_once
         if stream.name == WRITES.name and not (found := _settled(found, names, self._now_ms(connection))):
             return Batch(stream=stream, rows=[], after=position)
         rows = self._as_sent(stream, names, [row[1:] for row in found])
-        return Batch(stream=stream, rows=rows, after=replace(position, row=found[-1][0]))
+        return Batch(stream=stream, rows=rows, after=replace(position, row=found[-1][0]), last=last)
 
     def _as_sent(self, stream: Stream, names: Sequence[str], rows: list[Row]) -> list[Row]:
         """Return rows of a table as sinks get them."""

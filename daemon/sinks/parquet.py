@@ -84,6 +84,9 @@ class ParquetSink:
     def close(self) -> None:
         """Nothing stays open."""
 
+    def needs_rows(self) -> bool:
+        return False
+
     def transfer(self, outbox: Outbox, progress: Progress) -> bool:
         """Write a day that is over; where there is none, look again in a minute."""
         if time.monotonic() < self._look_after_s:

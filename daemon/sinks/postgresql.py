@@ -114,8 +114,11 @@ class PostgresqlSink:
     def close(self) -> None:
         self._database.close()
 
+    def needs_rows(self) -> bool:
+        return True
+
     def transfer(self, outbox: Outbox, progress: Progress) -> bool:
-        """Send a batch of each stream; True while one of them had one."""
+        """Send a batch of each stream; True while one of them has more."""
         more = False
         for stream in STREAMS.values():
             batch = outbox.batch(stream, progress.position(stream.name))
@@ -126,7 +129,7 @@ class PostgresqlSink:
             except (psycopg.Error, OSError) as error:
                 raise self._database.refused(error) from error
             progress.took(batch, stored)
-            more = True
+            more |= not batch.last
         return more
 
     def _store(self, batch: Batch, generation: str) -> int:

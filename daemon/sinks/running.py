@@ -29,6 +29,8 @@ ALIVE_PERIOD_S = 30.0
 """How often a sink with nothing to send says that it runs."""
 LOCK_WITHIN_S = 0.5
 """Somebody who looks whether the process runs holds its lock for a moment; another such process for longer."""
+LOOK_ANYWAY_S = 2.0
+"""A store whose files are as they were is looked at all the same when the last look is so long ago."""
 STOP_WITHIN_S = 10.0
 TELL_PERIOD_S = 5.0
 OpenSink = Callable[[SinkConfig, str], Sink]
@@ -131,8 +133,14 @@ class SinkRunner:
         try:
             there = dict(sink.open(self.cursor))
             self._progress.cursor = replace(self.cursor, positions=there)
+            nothing_more: tuple[object, float] = None, 0.0
+            """How the store's files were at the last look, where that left nothing, and when it was."""
             while not self._stop.is_set():
-                more = False
+                files, now_s, more = _files(self._store), time.monotonic(), False
+                if sink.needs_rows() and files == nothing_more[0] and now_s - nothing_more[1] < LOOK_ANYWAY_S:
+                    self._wait(self._config.period_s)
+                    continue
+                nothing_more = None, now_s
                 try:
                     with Outbox(self._store) as outbox:
                         self._begin_anew_where_needed(outbox)
@@ -147,6 +155,7 @@ class SinkRunner:
                     sink.look_on()
                 else:
                     self._went_well()
+                    nothing_more = None if more else files, now_s
                 if not more:
                     self._wait(self._config.period_s)
         finally:
@@ -196,6 +205,19 @@ class SinkRunner:
         except OSError as error:
             if new:
                 log.error("sink.cursor", path=str(self._path), problem=str(error))
+
+
+def _files(store: Path) -> tuple[tuple[int, int, int] | None, ...]:
+    """Return what changes with every row that is committed to a store."""
+    found: list[tuple[int, int, int] | None] = []
+    for path in (store, store.with_name(f"{store.name}-wal")):
+        try:
+            status = path.stat()
+        except OSError:
+            found.append(None)
+        else:
+            found.append((status.st_ino, status.st_size, status.st_mtime_ns))
+    return tuple(found)
 
 
 @contextlib.contextmanager

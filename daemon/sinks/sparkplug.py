@@ -114,9 +114,12 @@ class SparkplugSink:
         """Close the connection; the broker publishes the node's death."""
         self._broker.close()
 
-    def transfer(self, outbox: Outbox, progress: Progress) -> bool:
-        """Send a batch of each stream; True while one of them had one."""
+    def needs_rows(self) -> bool:
         self._broker.check()
+        return not self._asked
+
+    def transfer(self, outbox: Outbox, progress: Progress) -> bool:
+        """Send a batch of each stream; True while one of them has more."""
         self._ahead.settle(progress)
         if self._host is not None and not self._host.online:
             self._host.forget()
@@ -128,14 +131,14 @@ class SparkplugSink:
             self._wait_for_own()
         elif self._asked:
             self._bear()
-        more = False
+        more = sent = False
         for stream in STREAMS.values():
             batch = outbox.batch(stream, self._ahead.position(progress, stream.name))
             if batch is not None:
                 self._send(batch)
                 self._ahead.took(batch)
-                more = True
-        if not self._freshness.fresh(outbox) and not more:
+                sent, more = True, more or not batch.last
+        if not self._freshness.fresh(outbox) and not sent:
             self._die()
         self._ahead.settle(progress)
         return more

@@ -30,7 +30,7 @@ from daemon.history.database import HistoryError, connect_reader
 from daemon.history.reader import HistoryReader
 from daemon.history.writer import HistoryWriter
 from daemon.housekeeping.jobs import job_snapshots
-from daemon.sinks import contract
+from daemon.sinks import contract, running
 from daemon.sinks.contract import Progress, SinkError
 from daemon.sinks.outbox import STREAMS, Outbox
 from daemon.sinks.running import SinkRunner, alone, run_sinks, sink_status
@@ -56,6 +56,9 @@ class Taker:
     def open(self, cursor: Cursor):
         return cursor.positions
 
+    def needs_rows(self) -> bool:
+        return True
+
     def transfer(self, outbox: Outbox, progress: Progress) -> bool:
         more = False
         for stream in STREAMS.values():
@@ -63,7 +66,7 @@ class Taker:
                 before = len(self.rows[stream.name])
                 self.rows[stream.name] |= {json.dumps(row) for row in batch.rows}
                 progress.took(batch, len(self.rows[stream.name]) - before)
-                more = True
+                more |= not batch.last
         return more
 
     def close(self) -> None:
@@ -94,6 +97,35 @@ def test_what_was_away_is_found_back_within_half_of_its_absence(tmp_path: Path, 
 
     SinkRunner(SINK, store, "mill", stop, server, wait).run()
     assert waited_s[0] - away_s <= 0.3 + 0.6 * away_s
+
+
+@pytest.mark.parametrize(("anyway_s", "looks"), [(1e9, 3), (0.0, 40)])
+def test_a_store_that_stands_still_is_not_read_and_a_new_row_goes_with_the_next_look(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, anyway_s: float, looks: int
+) -> None:
+    monkeypatch.setattr(running, "LOOK_ANYWAY_S", anyway_s)
+    store, stop, waits = tmp_path / "h.sqlite", threading.Event(), []
+    writer_of(store, 10.0).close()
+    held: list[int] = []
+
+    class Counting(Taker):
+        def transfer(self, outbox: Outbox, progress: Progress) -> bool:
+            held.append(sum(map(len, self.rows.values())))
+            return super().transfer(outbox, progress)
+
+    def wait(_duration_s: float) -> None:
+        waits.append(len(held))
+        if len(waits) == 20:
+            with closing(writer_of(store, 20.0)) as writer:
+                writer.event("note", "one more")
+        if len(waits) == 40:
+            stop.set()
+
+    taker = Counting()
+    SinkRunner(SINK, store, "mill", stop, lambda _config, _machine: taker, wait).run()
+    assert "one more" in "".join(taker.rows["events"])
+    assert waits[20] == waits[19] + 1
+    assert waits[-1] == looks  # the first one leaves files of its own beside the store
 
 
 def test_a_cursor_that_cannot_be_written_is_said_once_and_not_with_every_try(

@@ -166,6 +166,9 @@ class AlarmSink:
     def close(self) -> None:
         """Nothing stays open between two messages."""
 
+    def needs_rows(self) -> bool:
+        return False
+
     def transfer(self, outbox: Outbox, progress: Progress) -> bool:
         """Read what happened, look, and tell what is due."""
         if self._known.generation != progress.cursor.generation:
