@@ -96,6 +96,7 @@ class Mill:
         await self.cnc.write_macros(
             [[(500, self.sequence)], [*block, (macros.check, check)], [(macros.sequence_b, self.sequence)]]
         )
+        await self.linuxcnc.take(Pins.of(CONFIG).inputs[macros.sequence_b], self.sequence)
 
     async def guard(self) -> GuardStatus:
         """Call it, let a stop for the operator go on, and return its status once its echo has another time."""

@@ -86,6 +86,9 @@ for line in sys.stdin:
         elif what == "messages":
             while message := errors.poll():
                 done.append(message[1])
+        elif what == "take":
+            while stat.poll() or abs(stat.ain[words[0]] - words[1]) > 1e-9:
+                time.sleep(0.005)
         elif what == "pass":
             seen = 0
             while seen < 5:
@@ -182,6 +185,10 @@ class RealLinuxcnc:
         """Type blocks, each after the one before is done; press cycle start where one stops."""
         for block in blocks:
             await self.do(["mdi", block], ["pass"])
+
+    async def take(self, pin: int, value: float) -> None:
+        """Wait until programs read this value at an analog input: they read what its task has copied."""
+        await self.do(["take", pin, value])
 
     async def position_mm(self) -> list[float]:
         """Return where LinuxCNC says that the axes are, once they stand [mm]."""
