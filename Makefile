@@ -27,9 +27,9 @@ plant: $(VENV)/.installed
 
 install: $(VENV)/.installed
 
-# A process more than there are cores, because tests on wires mostly wait. The tests of one file stay in one process, so
-# that they share what they set up, and the longest files come first (tests/conftest.py).
-PROCESSES ?= $(shell expr $$(nproc) + 1)
+# Two processes more than there are cores, because tests on wires mostly wait. The tests of one file stay in one process,
+# so that they share what they set up, and the longest files come first (tests/conftest.py).
+PROCESSES ?= $(shell expr $$(nproc) + 2)
 # What is compiled is kept: every process of the tests would compile and rewrite all of them.
 PYTEST = $(BIN)/python -m compileall -q config daemon drivers models tests/support && \
   PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(PROCESSES) --dist loadfile
@@ -84,10 +84,7 @@ thermal-zoo: $(VENV)/.installed-dev
 # Everything that an installation without a network needs, as one tar in dist/. With what sinks need beyond it:
 # `make bundle EXTRAS=sparkplug,parquet`; with what `fleet train --dask` needs: `dask` too.
 EXTRAS ?= sparkplug
-bundle: $(VENV)/.installed-dev
-	rm -rf dist/bundle
-	mkdir -p dist/bundle/wheels
-	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --constraint constraints.txt --wheel-dir dist/bundle/wheels '.[$(EXTRAS)]'
+bundle: $(VENV)/.installed-dev dist/bundle/wheels
 	echo '$(EXTRAS)' > dist/bundle/extras
 	$(BIN)/python -P .ci/bill_of_materials.py dist/bundle/wheels package-lock.json dist/bundle/sbom.cdx.json
 	cp -r systemd constraints.txt README.md LICENSE CHANGELOG.md docs dist/bundle/
@@ -96,6 +93,13 @@ bundle: $(VENV)/.installed-dev
 	name=toolpoint-$$(basename dist/bundle/wheels/toolpoint-*.whl | cut -d- -f2)-$$(uname -m); \
 	  rm -rf dist/$$name dist/$$name.tar; mv dist/bundle dist/$$name; \
 	  tar --create --file dist/$$name.tar --directory dist --owner=0 --group=0 $$name && ls -l dist/$$name.tar
+
+# Needs nothing of what is installed for development; `bundle` takes it away.
+dist/bundle/wheels: $(VENV)/.created
+	rm -rf dist/bundle
+	mkdir -p dist/bundle/collected
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --constraint constraints.txt --wheel-dir dist/bundle/collected '.[$(EXTRAS)]'
+	mv dist/bundle/collected $@
 
 $(VENV)/.created:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
