@@ -220,7 +220,9 @@ class SinkConfig(SectionOfDriver):
     driver: Literal["postgresql", "parquet", "mqtt", "sparkplug", "webhook", "mail"] = Field(
         description="what it is; the section of that name says where", examples=["postgresql"]
     )
-    period_s: Seconds = Field(2.0, description="time from one look for new rows to the next")
+    period_s: Seconds = Field(
+        0.5, description="time from one look for new rows to the next; the store is read when something was committed"
+    )
     postgresql: PostgresqlConfig | None = Field(
         None, description="a PostgreSQL database", examples=[{"host": "192.168.10.50"}]
     )

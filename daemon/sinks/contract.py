@@ -53,7 +53,7 @@ class Sink(Protocol):
         """Connect; return how far each stream was taken: as the system says or, where it cannot, the cursor."""
 
     def needs_rows(self) -> bool:
-        """Return whether nothing but new rows gives it something to do; raises SinkError after a loss that it knows."""
+        """Return whether it may wait some seconds for new rows; raises SinkError after a loss that it knows."""
 
     def transfer(self, outbox: Outbox, progress: "Progress") -> bool:
         """Send one piece of what waits and note what was acknowledged; True while there may be more."""

@@ -85,7 +85,7 @@ class ParquetSink:
         """Nothing stays open."""
 
     def needs_rows(self) -> bool:
-        return False
+        return True
 
     def transfer(self, outbox: Outbox, progress: Progress) -> bool:
         """Write a day that is over; where there is none, look again in a minute."""

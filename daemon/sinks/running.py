@@ -29,7 +29,7 @@ ALIVE_PERIOD_S = 30.0
 """How often a sink with nothing to send says that it runs."""
 LOCK_WITHIN_S = 0.5
 """Somebody who looks whether the process runs holds its lock for a moment; another such process for longer."""
-LOOK_ANYWAY_S = 2.0
+LOOK_ANYWAY_S = 5.0
 """A store whose files are as they were is looked at all the same when the last look is so long ago."""
 STOP_WITHIN_S = 10.0
 TELL_PERIOD_S = 5.0

@@ -50,7 +50,7 @@ def main() -> None:
     parser.add_argument("--machines", type=int, default=100)
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--speed", type=float, default=1.0)
-    parser.add_argument("--period-s", type=float, default=1.0, help="from one look of a sink to the next")
+    parser.add_argument("--period-s", type=float, default=0.5, help="from one look of a sink to the next")
     parser.add_argument("--kills", type=int, default=0)
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()

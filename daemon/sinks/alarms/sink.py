@@ -167,7 +167,7 @@ class AlarmSink:
         """Nothing stays open between two messages."""
 
     def needs_rows(self) -> bool:
-        return False
+        return True
 
     def transfer(self, outbox: Outbox, progress: Progress) -> bool:
         """Read what happened, look, and tell what is due."""
