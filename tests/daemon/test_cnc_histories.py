@@ -1,12 +1,16 @@
 """Random histories over the wire of every dialect: the tool is never moved wrongly without a word."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import pytest
 from cnc_histories import Shop, played
 from cnc_wire import DIALECTS, serving
 
+SLOPED, TOOLS = 5, 4
+"""Seeds of a machine with a slope, and of one whose tools are set."""
 SOME, MANY = {"haas": 1}, 2
 """Histories of each dialect that are always played, where not two, and those beyond them."""
 
@@ -28,7 +32,12 @@ async def test_many_histories_of_a_control_move_the_tool_nowhere_wrong(
 
 def shifted(shop: Shop) -> None:
     """Somebody moves the offset, and the daemon of a control whose offset is not watched cannot know."""
-    shop.nc.guard.control.external_mm[2] += 0.003
+    shop.nc.guard.control.external_mm[shop.machine.places["z"]] += 0.003
+
+
+def tilted(shop: Shop) -> None:
+    """The same of a slope: 2.5 um at the ends of the travel."""
+    shop.nc.guard.control.slopes[shop.machine.places["z_slope"]] += 1e-5
 
 
 def another_answer(shop: Shop) -> None:
@@ -37,10 +46,31 @@ def another_answer(shop: Shop) -> None:
         error_um["z"] += 3.0
 
 
-@pytest.mark.parametrize("wrong", [shifted, another_answer])
-async def test_the_judge_sees_a_tool_that_is_moved_wrongly(tmp_path: Path, wrong: Callable[[Shop], None]) -> None:
-    async with serving("opcua", tmp_path) as served:
-        shop = Shop(served, tmp_path, 1, attacked=False)
+def set_elsewhere(shop: Shop) -> None:
+    """A daemon that lets every tool count from another setting than the machine's."""
+    assert shop.rig is not None and shop.rig.control.memory is not None
+    memory = shop.rig.control.memory
+    if shop.nc.tool_number not in memory.tools:
+        shop.then(shop.turn_number + 1, set_elsewhere)
+        return
+    off = {number: replace(tool, baseline_um=tool.baseline_um + 3.0) for number, tool in memory.tools.items()}
+    shop.rig.control.memory = replace(memory, tools=MappingProxyType(off))
+
+
+@pytest.mark.parametrize(
+    ("dialect", "seed", "wrong"),
+    [
+        ("opcua", 1, shifted),
+        ("opcua", 1, another_answer),
+        ("sinumerik", SLOPED, tilted),
+        ("opcua", TOOLS, set_elsewhere),
+    ],
+)
+async def test_the_judge_sees_a_tool_that_is_moved_wrongly(
+    tmp_path: Path, dialect: str, seed: int, wrong: Callable[[Shop], None]
+) -> None:
+    async with serving(dialect, tmp_path) as served:
+        shop = Shop(served, tmp_path, seed, attacked=False)
         shop.then(100, wrong)
         await shop.play()
         assert shop.ends == "ACTIVE" and "um off" in shop.verdict()

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from cnc_program import AXES, PROBES, Block
-from cnc_wire import RUN_CODES, as_it_comes
+from cnc_program import PROBES, Block
+from cnc_wire import COUNTED, RUN_CODES, as_it_comes
 from nc_requests import ACKNOWLEDGE, AXIS, COUNTER, KIND, VALUE
 
 from drivers.sim.nc.custom_macro import MacroControl
+from drivers.sim.nc.nc import ModeCode
 from models.control.state import OperatorRequest
 from models.records import CncRun
 
@@ -52,7 +53,7 @@ def restored(shop: Shop) -> None:
 
 def hand(shop: Shop) -> None:
     """An operator adds to the external offset."""
-    axis = shop.rng.choice(list(AXES))
+    axis = shop.rng.choice(list(shop.machine.places))
     um = shop.rng.choice([0.5, -5.0, 20.0])
     shop.nc.guard.change_own_offset(axis, um)
     shop.judge.by_hand[axis] += um
@@ -214,12 +215,15 @@ def estimation_is_slow(shop: Shop) -> None:
     shop.undo.append((shop.turn_number + 40, lambda: setattr(shop, "slow", 0)))
 
 
-def person(*requests: OperatorRequest) -> Callable[[Shop], None]:
-    def event(shop: Shop) -> None:
-        assert shop.rig is not None
-        shop.rig.control.request(shop.rng.choice(requests), "a person")
-
-    return event
+def switched(shop: Shop) -> None:
+    """A person switches everything off, asks for zero, or switches one axis off."""
+    assert shop.rig is not None
+    requests = (
+        OperatorRequest(disable=frozenset(shop.machine.places)),
+        OperatorRequest(zero=True),
+        OperatorRequest(disable=frozenset({"z"})),
+    )
+    shop.rig.control.request(shop.rng.choice(requests), "a person")
 
 
 def keep_backup(shop: Shop) -> None:
@@ -234,8 +238,58 @@ def probes(shop: Shop) -> None:
 
 
 def jump(shop: Shop) -> None:
-    """The machine grows by more than the output may follow at once."""
-    shop.judge.error[shop.rng.choice(list(AXES))] += shop.rng.choice([-8.0, 8.0])
+    """The machine grows by more than the output may follow at once, but not while the work is being positioned."""
+    if shop.program.block.number == 100:
+        shop.undo.append((shop.turn_number + 1, lambda: jump(shop)))
+        return
+    shop.judge.error[shop.rng.choice(list(shop.machine.places))] += shop.rng.choice([-8.0, 8.0])
+
+
+def another_mode(shop: Shop) -> None:
+    """The operator turns the mode switch, which stops the program, works by hand, and turns it back."""
+    nc, face = shop.nc, shop.served.face
+    program = nc.program
+    face.mode, nc.run = shop.rng.choice((ModeCode.MDI, ModeCode.HANDLE, ModeCode.JOG, ModeCode.EDIT)), CncRun.STOP
+    nc.program = shop.rng.choice((program, 0))
+    top = shop.rng.random() < 0.5
+
+    def back() -> None:
+        face.mode, nc.program = ModeCode.MEM, program
+        shop.program.restart(from_the_top=top)
+
+    shop.undo.append((shop.turn_number + shop.rng.randrange(1, 12), back))
+
+
+def guard_in_mdi(shop: Shop) -> None:
+    """The same, and in MDI he calls the guard a few times."""
+    another_mode(shop)
+    shop.served.face.mode = ModeCode.MDI
+    for _ in range(shop.rng.randrange(1, 4)):
+        shop.nc.safe_point()
+
+
+def counter_reset(shop: Shop) -> None:
+    """The counter of positionings, or of parts, begins again."""
+    counted = shop.nc.macros.get(COUNTED) or 0.0
+    shop.nc.macros.set(COUNTED, shop.rng.choice([0.0, None, counted - 1.0, counted + 1.0]))
+
+
+def another_modal(shop: Shop) -> None:
+    """The program calls the guard in increments, with cutter compensation or in a canned cycle; a test of a program."""
+    control = shop.nc.guard.control
+    until = shop.turn_number + shop.rng.randrange(1, 20)
+    if isinstance(control, MacroControl):
+        group, code = shop.rng.choice([(3, 91), (7, 41), (9, 81)])
+        usual = control.modal[group]
+        control.modal[group] = code
+        shop.undo.append((until, lambda: control.modal.__setitem__(group, usual)))
+        return
+    if shop.rng.random() < 0.5:
+        control.groups[7] = 2
+        shop.undo.append((until, lambda: control.groups.__setitem__(7, 1)))
+    else:
+        control.not_machining.add("$P_SIM")
+        shop.undo.append((until, control.not_machining.clear))
 
 
 EVENTS: dict[str, Callable[[Shop], None]] = {
@@ -277,9 +331,11 @@ EVENTS: dict[str, Callable[[Shop], None]] = {
     "daemon restarted": restarts,
     "daemon restarted late": restarts_late,
     "estimation slow": estimation_is_slow,
-    "switched": person(
-        OperatorRequest(disable=frozenset(AXES)), OperatorRequest(zero=True), OperatorRequest(disable=frozenset({"z"}))
-    ),
+    "switched": switched,
+    "another mode": another_mode,
+    "guard in MDI": guard_in_mdi,
+    "part counter reset": counter_reset,
+    "another modal": another_modal,
 }
 ONLY = {"macro refused": ("focas", "haas")}
 

@@ -17,17 +17,18 @@ from typing import Any
 
 import numpy as np
 from cnc_events import EVENTS, ONLY
-from cnc_program import ATTACKED, AXES, BEFORE, CALM, Block, Judge, PartProgram
+from cnc_machines import PROVED, RETREATS, bench_of, some_machine
+from cnc_program import ATTACKED, BEFORE, CALM, Block, Judge, PartProgram
 from cnc_wire import COUNTED, Served, serving
-from control_rig import SENSOR_IDS, Bench, Rig, record_for, running
+from control_rig import SENSOR_IDS, Rig, record_for, running
 from guard_bench import KeptTable
 from memory_cnc import MemoryNc
 from nc_requests import ACKNOWLEDGE, AXIS, COUNTER, KIND, VALUE
 
-from config.records.commissioning import CommissionedAxis
 from daemon.messages import ReferenceRequest
 from drivers.contract import Cnc
 from drivers.registry import open_cnc
+from drivers.sim.nc.nc import ModeCode
 from drivers.sim.nc.safe_point import SafePointApplication
 from drivers.sim.nc.sinumerik import SinumerikControl
 from models.control.state import OperatorRequest
@@ -38,8 +39,6 @@ FIRST_FASTER = 12.0
 WRONG_UM = 1.0
 LONGEST_WRONG = 45
 """So many turns the output may need for the way back, at its slew, while it says that it follows."""
-FACTORS = (1.0, 1.0, -1.0, 0.5)
-"""Axes as they usually are, one that goes the other way, and one of diameters."""
 TELLS = ("numbers", "counter", "handshake")
 """How the program tells that the work is positioned."""
 
@@ -53,16 +52,19 @@ class Shop:
         self.tells = self.rng.choice(TELLS)
         self.to_zero = self.rng.random() < 0.25
         self.person_returns = self.rng.random() < 0.6
-        bench = self.bench = Bench(directory)
-        expiry = "zero" if self.to_zero else "keep"
-        reached = served.section(bench, served.wire.port, expiry)
-        reference = bench.configuration.compensation.reference
-        if self.tells == "counter":
-            reference = reference.model_copy(update={"positioning_counter": COUNTED})
-        compensation = bench.configuration.compensation.model_copy(update={"reference": reference})
-        bench.configuration = bench.configuration.model_copy(update={"cnc": reached, "compensation": compensation})
-        nc = self.nc = bench.nc = MemoryNc(bench.configuration, bench.clock)
+        self.zero_first = self.rng.random() < 0.25
+        self.many_tools, self.many_works = self.rng.random() < 0.4, self.rng.random() < 0.3
         self.siemens = served.dialect == "sinumerik"
+        self.machine = some_machine(self.rng, slopes=self.siemens)
+        reference: dict[str, Any] = {"positioning_counter": COUNTED} if self.tells == "counter" else {}
+        if self.zero_first:
+            reference |= {"policy": "zero_first", "retreat_sequence_numbers": [RETREATS]}
+        bench = self.bench = bench_of(self.machine, directory, **reference)
+        expiry = "zero" if self.to_zero else "keep"
+        reached = served.section(bench, served.wire.port, expiry, self.machine)
+        compensation = bench.configuration.compensation
+        bench.configuration = bench.configuration.model_copy(update={"cnc": reached})
+        nc = self.nc = bench.nc = MemoryNc(bench.configuration, bench.clock)
         if not self.siemens:
             nc.guard = SafePointApplication(reached.macros, compensation.outputs, reached.guard)
         nc.macros = KeptTable() if self.siemens else nc.macros
@@ -70,13 +72,13 @@ class Shop:
             nc.macros.set(number, 0.0)
         nc.guard.initialise(nc.macros, nc.clock_s)
         self._begin_timer(nc.clock_s)
-        served.face.nc, served.face.alarm = nc, 0
+        served.face.nc, served.face.alarm, served.face.mode = nc, 0, ModeCode.MEM
 
         def open_driver() -> Cnc:
             return open_cnc(bench.configuration, bench.clock)
 
         nc.open = open_driver  # type: ignore[method-assign, assignment]
-        self.judge = Judge(factors={axis: self.rng.choice(FACTORS) for axis in AXES})
+        self.judge = Judge(self.machine)
         self.program = PartProgram(self)
         self.rig: Rig | None = None
         self.at_reference: dict[str, dict[str, float]] = {}
@@ -93,8 +95,9 @@ class Shop:
         self.said: list[tuple[int, str]] = []
         self.states: Counter[str] = Counter()
         self.wrong_for = self.longest_wrong = 0
+        most = {"y": 0.025, "z": 0.035, "x": 0.025, "z_slope": 0.06}
         self.slopes = {
-            axis: self.rng.choice((-1, 1)) * self.rng.uniform(0.01, most) for axis, most in (("y", 0.025), ("z", 0.035))
+            axis: self.rng.choice((-1, 1)) * self.rng.uniform(0.01, most[axis]) for axis in self.machine.places
         }
         self.undo: list[tuple[int, Callable[[], None]]] = []
         self.kept: dict[int, float | None] = {}
@@ -112,8 +115,14 @@ class Shop:
         """Let something happen at a turn."""
         self.undo.append((turn, lambda: event(self)))
 
+    @property
+    def traits(self) -> str:
+        """What kind of shop this is, in words."""
+        named = {"zero first": self.zero_first, "many tools": self.many_tools, "many works": self.many_works}
+        return f"{dict(self.machine.factors)} {[name for name, is_so in named.items() if is_so]}"
+
     def applied(self) -> dict[str, float]:
-        return {axis: round(self.nc.guard.applied_um[axis], 2) for axis in AXES}
+        return {axis: round(self.nc.guard.applied_um[axis], 2) for axis in self.machine.places}
 
     def power_cycle(self, *, counted: bool = True) -> None:
         nc = self.nc
@@ -138,8 +147,8 @@ class Shop:
     def followed(self) -> list[str]:
         """Axes that are switched on."""
         memory = None if self.rig is None else self.rig.control.memory
-        wanted = (False, False, False) if memory is None else memory.wanted
-        return [axis for axis, place in AXES.items() if wanted[place]]
+        numbers = self.machine.numbers
+        return [] if memory is None else [axis for axis, number in numbers.items() if memory.wanted[number]]
 
     async def look(self) -> None:
         """One turn of the daemon, without time passing."""
@@ -178,8 +187,9 @@ class Shop:
         reference = rig.control.reference
         then = None if reference is None else self.at_reference.get(reference.reference_id)
         if then is None:
-            return rig.estimate(math.nan, math.nan, reference_id=None)
-        return rig.estimate(*(self.judge.error[axis] - then[axis] for axis in AXES))
+            return rig.estimate(math.nan, math.nan, reference_id=None, channels=self.machine.channels)
+        gone = (self.judge.error[axis] - then[axis] for axis in self.machine.places)
+        return rig.estimate(*gone, channels=self.machine.channels)
 
     async def turn(self) -> None:
         """Half a second."""
@@ -191,7 +201,7 @@ class Shop:
             for axis, um in self.slopes.items():
                 self.judge.error[axis] += um * times
             if self.rng.random() < 0.02:
-                axis = self.rng.choice(list(AXES))
+                axis = self.rng.choice(list(self.machine.places))
                 self.slopes[axis] = -self.slopes[axis]
         await self.program.go_on()
         self._go_wrong(now)
@@ -202,6 +212,8 @@ class Shop:
             await self.look()
         self.program.answered()
         self.judge.look(self.nc.guard)
+        if self.rig is not None and self.rig.control.memory is not None and self.rig.control.memory.error_reference_id:
+            self.judge.ended(self.rig.control.memory.tools)
         self._watch()
 
     def _watch(self) -> None:
@@ -241,7 +253,12 @@ class Shop:
                 said = rig.acknowledge("a person")
                 self.said.append((now, f"acknowledged {rig.control.journal.fault} {said}"[:160]))
             elif rig.state in ("OFF", "RETREAT"):
-                rig.control.request(OperatorRequest(enable=frozenset(AXES)), "a person")
+                rig.control.request(OperatorRequest(enable=frozenset(self.machine.places)), "a person")
+
+    @property
+    def goes_on(self) -> bool:
+        """It is not at its end, or stands wrong there, which may be the way back."""
+        return self.turn_number < BEFORE + ATTACKED + CALM or 0 < self.wrong_for <= LONGEST_WRONG
 
     async def play(self) -> None:
         """Play the history to its end."""
@@ -249,33 +266,28 @@ class Shop:
         self.plan = [self.rng.choice(spread) for _ in range(self.rng.choice((1, 2, 3, 4, 5, 6)))]
         self.program.restart(from_the_top=True)
         self.program.block = Block(10, 6)
-        while self.turn_number < BEFORE + ATTACKED + CALM:
+        while self.goes_on:
             async with running(self._rig(), connect=self.turn_number == 0) as rig:
                 self.rig, self.heard, self.restarts = rig, 0, False
-                while self.turn_number < BEFORE + ATTACKED + CALM and not self.restarts:
+                while self.goes_on and not self.restarts:
                     await self.turn()
                     if self.turn_number == 20:
-                        assert rig.control.request(OperatorRequest(enable=frozenset(AXES)), "a person") == ""
+                        assert (
+                            rig.control.request(OperatorRequest(enable=frozenset(self.machine.places)), "a person")
+                            == ""
+                        )
                 await rig.history.flushed()
                 rig.alive()
         self.ends = rig.state
 
     def _rig(self) -> Rig:
         configuration = self.bench.configuration
-        commissioned = {
-            axis: CommissionedAxis(
-                sign=1 if factor > 0 else -1, scale=abs(factor), written_um=10.0, measured_um=10.0 * factor
-            )
-            for axis, factor in ({"x": 1.0} | self.judge.factors).items()
-        }
-        record = record_for(configuration, axes=commissioned)
+        unmoved = {"x": PROVED} if "y" in self.machine.places else {}
+        record = record_for(configuration, axes=unmoved | self.machine.commissioned())
         return Rig(configuration, self.nc, self.bench.clock, record=record)
 
     def verdict(self) -> str:
         """Return what was wrong, '' where nothing was."""
-        off = self.judge.off_um(self.nc, self.followed)
-        if self.silent and off > WRONG_UM:
-            return f"ends {off:.1f} um off in ACTIVE without a word"
         if self.longest_wrong > LONGEST_WRONG:
             um = self.judge.largest
             return f"stood up to {um:.1f} um off for {self.longest_wrong} turns in ACTIVE without a word"
@@ -309,5 +321,5 @@ async def played(dialect: str, seeds: Sequence[int], directory: Path) -> Tally:
             tally.ends[shop.ends] += 1
             tally.happened.update(what for _, what in shop.said if what in EVENTS)
             if wrong := shop.verdict():
-                tally.wrong.append(f"{dialect}, seed {seed}: {wrong}; {shop.tells}, {shop.judge.factors}, {shop.said}")
+                tally.wrong.append(f"{dialect}, seed {seed}: {wrong}; {shop.tells}, {shop.traits}, {shop.said}")
     return tally

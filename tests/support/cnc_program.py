@@ -8,13 +8,14 @@ is how far the tool stands from where it was.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from cnc_machines import RETREATS, Machine, farthest_um
 from cnc_wire import COUNTED
 from memory_cnc import MemoryNc
-from nc_requests import ACKNOWLEDGE, AXIS, COUNTER, KIND, PROBE, REFERENCE, VALUE
+from nc_requests import ACKNOWLEDGE, AXIS, COUNTER, KIND, PROBE, REFERENCE, TOOL_CHANGE, VALUE
 
 from drivers.sim.nc.safe_point import SafePointApplication
 from models.records import CncRun
@@ -24,55 +25,74 @@ if TYPE_CHECKING:
 
 BEFORE, ATTACKED, CALM = 40, 80, 90
 """Turns of half a second until the output follows, in which things go wrong, and after them."""
-AXES = {"y": 1, "z": 2}
-"""Axes with a model, and their place on the control."""
-PROBES = 60
-"""N number of the block at which the work is measured."""
+PROBES, CHANGES, SETS, OTHER_WORK = 60, 70, 80, 90
+"""N numbers of the blocks at which the work is measured, another tool comes, it is set, and the work offset changes."""
+WORKS = (54, 55)
+"""Work offsets of the program that has two."""
+TOOLS = (1, 2, 3)
 WAITS = 24
 """Turns for which the program waits for an answer."""
+LONGEST_RETREAT = 90
+"""Turns after which it no longer waits for the offset to be out."""
 
 
 @dataclass(slots=True)
 class Judge:
-    """Where the tool stands; all in um by axis."""
+    """Where the tool stands; all in um by axis, of a slope in um/m."""
 
-    error: dict[str, float] = field(default_factory=lambda: dict.fromkeys(AXES, 0.0))
+    machine: Machine
+    error: dict[str, float] = field(default_factory=dict)
     """Thermal error, tool against work."""
-    by_hand: dict[str, float] = field(default_factory=lambda: dict.fromkeys(AXES, 0.0))
+    by_hand: dict[str, float] = field(default_factory=dict)
     """What an operator has put into the external offset."""
-    factors: dict[str, float] = field(default_factory=lambda: dict.fromkeys(AXES, 1.0))
-    """How far the tool goes along the axis for an offset of 1: half of it where diameters are programmed."""
     then: dict[float, dict[str, float]] = field(default_factory=dict)
     """Where it stood when the work was positioned, by work offset."""
+    set: dict[int, dict[str, float]] = field(default_factory=dict)
+    """Where each tool stood when it was set, on the axes that it was set on."""
     moves: int = 0
     largest: float = 0.0
     _stood: dict[str, float] = field(default_factory=dict)
+    _counted: frozenset[int] = frozenset()
+
+    def __post_init__(self) -> None:
+        self.error, self.by_hand = dict.fromkeys(self.machine.places, 0.0), dict.fromkeys(self.machine.places, 0.0)
 
     def tool(self, guard: SafePointApplication) -> dict[str, float]:
         """Return where the tool stands, from the control's registers."""
-        register = guard.control.external_mm
         return {
-            axis: self.error[axis] + self.factors[axis] * (1000.0 * register[place] - self.by_hand[axis])
-            for axis, place in AXES.items()
+            axis: self.error[axis] + factor * (self.machine.register_um(guard, axis) - self.by_hand[axis])
+            for axis, factor in self.machine.factors.items()
         }
 
     def positioned(self, nc: MemoryNc) -> None:
-        """The program has just positioned the work of the active work offset."""
-        self.then[nc.work_offset] = self.tool(nc.guard)
+        """The program has just positioned the work of the active work offset, and so the tool in the spindle."""
+        now = self.then[nc.work_offset] = self.tool(nc.guard)
+        if (here := self.set.get(nc.tool_number)) is not None:
+            self.set[nc.tool_number] = {axis: now[axis] for axis in here}
+
+    def ended(self, counted: Iterable[int]) -> None:
+        """Take the tools whose settings count: of the others the daemon has said that they are to be set again."""
+        now = frozenset(counted)
+        for number in self._counted - now:
+            self.set.pop(number, None)
+        self._counted = now
 
     def gone(self, nc: MemoryNc) -> dict[str, float] | None:
         """Return how far the tool stands from where it stood when the work was positioned; None: it never was."""
         now, then = self.tool(nc.guard), self.then.get(nc.work_offset)
-        return None if then is None else {axis: now[axis] - then[axis] for axis in AXES}
+        if then is None:
+            return None
+        then = then | self.set.get(nc.tool_number, {})
+        return {axis: now[axis] - then[axis] for axis in self.machine.places}
 
     def off_um(self, nc: MemoryNc, axes: Sequence[str]) -> float:
         """Return the same without sign, of the worst of these axes."""
         gone = self.gone(nc)
-        return math.inf if gone is None else max((abs(gone[axis]) for axis in axes), default=0.0)
+        return math.inf if gone is None else farthest_um(self.machine, gone, list(axes))
 
     def look(self, guard: SafePointApplication) -> None:
         """Count a motion."""
-        register = {axis: guard.control.external_mm[place] for axis, place in AXES.items()}
+        register = {axis: self.machine.register_um(guard, axis) for axis in self.machine.places}
         self.moves += bool(self._stood) and register != self._stood
         self._stood = register
 
@@ -93,6 +113,8 @@ class PartProgram:
         self.block, self.ahead = Block(20, 1), list[Block]()
         self.asked = 0
         """Counter of the request whose answer is waited for, 0: none."""
+        self.set_at: dict[str, float] = {}
+        """Where the tool that is being set stood when the program asked, on the axis that it is set on."""
         self.broken_after: int | None = None
         """RESET after so many blocks of the next guard."""
         self.watched_after: int | None = None
@@ -106,11 +128,19 @@ class PartProgram:
         self.shop.nc.sequence_number = 10
 
     def _part(self) -> list[Block]:
-        return [Block(100, 5), *self._cuts()]
+        retreat = [Block(RETREATS, LONGEST_RETREAT)] if self.shop.zero_first else []
+        return [*retreat, Block(100, 5), *self._cuts()]
 
     def _cuts(self) -> list[Block]:
         cuts = (Block(self.rng.choice((20, 30, 40)), self.rng.randrange(1, 5)) for _ in range(self.rng.randrange(3, 9)))
-        return [each for cut in cuts for each in (cut, Block(900, 2))]
+        blocks = [each for cut in cuts for each in (cut, Block(900, 2))]
+        if self.shop.many_tools:
+            for number, share in ((SETS, 0.3), (CHANGES, 0.5)):
+                if self.rng.random() < share:
+                    blocks.insert(self.rng.randrange(0, len(blocks), 2), Block(number, 1))
+        if self.shop.many_works and self.rng.random() < 0.2:
+            blocks.insert(self.rng.randrange(0, len(blocks), 2), Block(OTHER_WORK, 2))
+        return blocks
 
     async def go_on(self) -> None:
         """Half a second of the program."""
@@ -118,6 +148,8 @@ class PartProgram:
         if nc.run is not CncRun.START or nc.program != 1000:
             return
         self.block.turns -= 1
+        if self.block.number == RETREATS:
+            await self._retreat()
         if self.block.turns > 0:
             return
         if not self.ahead:
@@ -131,11 +163,27 @@ class PartProgram:
             await self._call_guard()
         elif self.block.number == PROBES:
             self._probe()
+        elif self.block.number == CHANGES:
+            self._change_tool()
+        elif self.block.number == SETS:
+            self._set_tool()
+        elif self.block.number == OTHER_WORK:
+            nc.work_offset = self.rng.choice([each for each in WORKS if each in self.shop.judge.then])
+
+    async def _retreat(self) -> None:
+        """Call the guard until nothing is applied, and go on then."""
+        if self.block.turns % 2 == 0:
+            await self._call_guard()
+        nothing = all(abs(um) < 0.01 for um in self.shop.nc.guard.applied_um.values())
+        if nothing and self.block.turns < LONGEST_RETREAT - 4:
+            self.block.turns = 0
 
     def _position(self) -> None:
         shop, macros = self.shop, self.shop.nc.macros
         if shop.tells == "counter":
             macros.set(COUNTED, (macros.get(COUNTED) or 0.0) + 1.0)
+        if shop.many_works:
+            shop.nc.work_offset = self.rng.choice(WORKS)
         shop.judge.positioned(shop.nc)
         shop.said.append((shop.turn_number, f"positioned {shop.applied()}"))
         if shop.tells == "handshake":
@@ -143,9 +191,25 @@ class PartProgram:
 
     def _probe(self) -> None:
         """Measure how far the tool stands from where it was, along one axis, and hand it over."""
-        axis = self.rng.choice(list(AXES))
+        machine = self.shop.machine
+        axis = self.rng.choice(machine.offsets)
         if (now := self.shop.judge.gone(self.shop.nc)) is not None:
-            self._ask(PROBE, AXES[axis] + 1, now[axis] / 1000.0)
+            self._ask(PROBE, machine.numbers[axis] + 1, now[axis] / 1000.0)
+
+    def _change_tool(self) -> None:
+        """Another tool comes into the spindle; where the program hands over what it does, it names it."""
+        nc = self.shop.nc
+        nc.tool_number = self.rng.choice(TOOLS)
+        self.shop.said.append((self.shop.turn_number, f"T{nc.tool_number} comes"))
+        if self.shop.tells == "handshake":
+            self._ask(TOOL_CHANGE, value_mm=float(nc.tool_number))
+
+    def _set_tool(self) -> None:
+        """Measure the tool in the spindle along one axis: from now on it is right where it stands."""
+        machine = self.shop.machine
+        axis = self.rng.choice(machine.offsets)
+        self.set_at = {axis: self.shop.judge.tool(self.shop.nc.guard)[axis]}
+        self._ask(REFERENCE, machine.numbers[axis] + 1)
 
     def _ask(self, kind: int, axis: int = 0, value_mm: float = 0.0) -> None:
         macros = self.shop.nc.macros
@@ -156,10 +220,15 @@ class PartProgram:
 
     def answered(self) -> None:
         """Look for the answer, as the request program does, which gives up after a while."""
-        if not self.asked or self.block.number not in (100, PROBES):
+        if not self.asked or self.block.number not in (100, PROBES, CHANGES, SETS):
             return
-        macros = self.shop.nc.macros
-        if abs(macros.get(ACKNOWLEDGE) or 0.0) == self.asked:
+        macros, judge = self.shop.nc.macros, self.shop.judge
+        answer = macros.get(ACKNOWLEDGE) or 0.0
+        if abs(answer) == self.asked:
+            if self.block.number == SETS and answer > 0.0:
+                number = self.shop.nc.tool_number
+                judge.set[number] = judge.set.get(number, {}) | self.set_at
+                self.shop.said.append((self.shop.turn_number, f"T{number} set {self.set_at}"))
             self.asked, self.block.turns = 0, 1
         elif self.block.turns <= 1:
             macros.set(KIND, 0.0)

@@ -6,11 +6,13 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 from typing import Any, cast
 
+from cnc_machines import Machine
 from control_rig import Bench
 from memory_cnc import MemoryNc
 
 from config.schema.cnc import CncConfig
 from drivers.sim.contract import SimulatedNc
+from drivers.sim.nc.nc import ModeCode
 from drivers.sim.wires.focas_server import SimulatedFocasServer
 from drivers.sim.wires.haas_server import SimulatedHaasServer
 from drivers.sim.wires.opcua_server import SimulatedCncServer
@@ -98,11 +100,11 @@ class Wire:
 class Face:
     """Shows the NC of the present history as the simulated servers want it."""
 
-    mode, motor_temperature_degc = 1, 30.0
+    motor_temperature_degc = 30.0
     nc: MemoryNc
 
     def __init__(self) -> None:
-        self.alarm = 0
+        self.alarm, self.mode = 0, ModeCode.MEM
         self.positions_mm: dict[str, float] = {}
 
     def __getattr__(self, name: str) -> Any:
@@ -124,7 +126,7 @@ class Served:
         self.dialect, self.face = dialect, Face()
         self.server: Any = None
 
-    def section(self, bench: Bench, port: int, on_expiry: str = "keep") -> CncConfig:
+    def section(self, bench: Bench, port: int, on_expiry: str = "keep", machine: Machine | None = None) -> CncConfig:
         """Return how the daemon reaches the control through the wire."""
         siemens = self.dialect == "sinumerik"
         content: dict[str, Any] = {
@@ -138,6 +140,10 @@ class Served:
                 "dialect": "sinumerik" if siemens else "fanuc",
             },
         }
+        if machine is not None and "y" not in machine.places:
+            content["guard"]["axes"] = {
+                axis: {"letter": axis.upper(), "number": machine.places[axis] + 1} for axis in machine.offsets
+            }
         if self.dialect in OPC_UA:
             content["opcua"] = OPC_UA[self.dialect] | {"endpoint": f"opc.tcp://127.0.0.1:{port}/cnc"}
         else:
