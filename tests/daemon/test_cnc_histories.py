@@ -9,7 +9,7 @@ import pytest
 from cnc_histories import Shop, played
 from cnc_wire import DIALECTS, serving
 
-SLOPED, TOOLS = 5, 4
+SLOPED, TOOLS = 5, 3
 """Seeds of a machine with a slope, and of one whose tools are set."""
 SOME, MANY = {"haas": 1}, 2
 """Histories of each dialect that are always played, where not two, and those beyond them."""

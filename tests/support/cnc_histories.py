@@ -183,13 +183,13 @@ class Shop:
         )
 
     def _estimate(self, rig: Rig) -> Any:
-        """What a perfect estimation says, since the reference that is in force."""
-        reference = rig.control.reference
-        then = None if reference is None else self.at_reference.get(reference.reference_id)
+        """What a perfect estimation says, since the reference in force or the one that tools still count from."""
+        kept_id = rig.control._references.kept_id
+        then = self.at_reference.get(kept_id or "")
         if then is None:
             return rig.estimate(math.nan, math.nan, reference_id=None, channels=self.machine.channels)
         gone = (self.judge.error[axis] - then[axis] for axis in self.machine.places)
-        return rig.estimate(*gone, channels=self.machine.channels)
+        return rig.estimate(*gone, reference_id=kept_id, channels=self.machine.channels)
 
     async def turn(self) -> None:
         """Half a second."""

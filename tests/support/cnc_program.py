@@ -135,7 +135,7 @@ class PartProgram:
         cuts = (Block(self.rng.choice((20, 30, 40)), self.rng.randrange(1, 5)) for _ in range(self.rng.randrange(3, 9)))
         blocks = [each for cut in cuts for each in (cut, Block(900, 2))]
         if self.shop.many_tools:
-            for number, share in ((SETS, 0.3), (CHANGES, 0.5)):
+            for number, share in ((SETS, 0.7), (CHANGES, 0.9)):
                 if self.rng.random() < share:
                     blocks.insert(self.rng.randrange(0, len(blocks), 2), Block(number, 1))
         if self.shop.many_works and self.rng.random() < 0.2:
