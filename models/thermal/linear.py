@@ -108,10 +108,8 @@ class LinearOnline:
         """Tell whether a sensor that does not count says now, with its lags, what it is taken for."""
         assert self._reference is not None
         then, left_out = self._reference.state, self._estimator.left_out
-        without, change = (
-            excluded_sensors(state, then),
-            self._estimator.features(state) - self._estimator.features(then),
-        )
+        without = excluded_sensors(state, then)
+        change = self._estimator.features(state) - self._estimator.features(then)
         if state.missing[sensor] or abs((change - left_out.imputed(change, without))[sensor]) > AGREES_K:
             return False
         counted = excluded_sensors(readmitted(state, [sensor]), then)
@@ -261,17 +259,20 @@ class LinearOnline:
     def _readmit(self) -> tuple[int, ...]:
         """Let sensors that were found faulty count again from a new reference on; return their IDs.
 
-        What the watch remembers is from when they were wrong, and begins where the others expect it; lags where a
-        sensor stands farther from its own, as after a drift. Beyond training others expect wrongly, and blame wrongly.
+        What the watch remembers begins where the others expect it, and so do lags of a sensor that is as they expect
+        it again: its past was wrong. One that is not keeps its own, and with them the distance from training, beyond
+        which the others expect and blame wrongly.
         """
         if self._state is None or self._state.watch is None:
             return ()
         out = self._state.watch.excluded
         state = readmitted(self._state, out)
         if here := [i for i in out if not state.missing[i]]:
-            begun = self._estimator.begun(state, here)
-            own_k, begun_k = (np.abs(each.lagged - each.degc).max(axis=0, initial=0.0) for each in (state, begun))
-            lagged = np.where(own_k <= begun_k, state.lagged, begun.lagged)
+            without = sorted({*here, *np.flatnonzero(state.missing).tolist()})
+            from_centre = self._estimator.features(state) - self.model.centre
+            departed_k = np.abs(from_centre - self._estimator.left_out.imputed(from_centre, without))
+            as_expected = departed_k[: self.model.layout.sensors] <= AGREES_K
+            lagged = np.where(as_expected, self._estimator.begun(state, here).lagged, state.lagged)
             state = self._estimator.reinitialised(replace(state, lagged=lagged), here)
         self._state = state
         return tuple(self.model.sensor_ids[i] for i in out)

@@ -276,6 +276,56 @@ def test_a_healthy_sensor_that_was_blamed_goes_on_with_its_own_lags_once_the_wor
     np.testing.assert_allclose(estimates[1], estimates[0], atol=1e-9)
 
 
+def positioned_again(model: LinearModel, table: FloatArray, rpm: FloatArray, after: int) -> tuple[FloatArray, ...]:
+    """Position the work, and so many minutes later again.
+
+    Returns the thermal error of every minute of the hour after that [um], whether it is followed, and who was blamed.
+    """
+    online, none = model.runtime(Machine(components={})), np.zeros(SENSORS, dtype=bool)
+    online.rebuild((float(i), table[i], float(rpm[i])) for i in range(REFERENCE - 400, REFERENCE))
+    errors, followed, blamed = [], [], 0
+    for minute in range(REFERENCE, REFERENCE + after + 60):
+        now_min, degc = float(minute), table[minute]
+        online.on_sample(now_min, degc, float(rpm[minute]))
+        if minute in (REFERENCE, REFERENCE + after):
+            blamed = len(online.excluded)
+            online.set_reference(OnlineReference(time_min=now_min, now_min=now_min, degc=degc))
+        found, _ = online.estimate(now_min, degc, none)
+        if minute >= REFERENCE + after:
+            errors.append(np.full(2, np.nan) if found is None else found.thermal_error_um)
+            followed.append(
+                found is not None and found.in_domain and found.confidence >= 0.5 and found.imputed_um < 1.0
+            )
+    return np.array(errors), np.array(followed), np.array(blamed)
+
+
+@pytest.mark.parametrize(
+    ("splash_k", "ambient_k", "drift_k"),
+    [(10.0, 0.0, 0.0), (-10.0, 0.0, 0.0), (0.0, 12.0, 0.0), (0.0, -12.0, 0.0), (0.0, 0.0, 8.0)],
+)
+def test_sensors_that_were_blamed_end_at_the_truth_or_unsure_once_the_work_is_positioned(
+    watching: LinearModel, splash_k: float, ambient_k: float, drift_k: float
+) -> None:
+    """The truth is what the model says when nobody is ever blamed: up to 1.9 um beside it with full confidence.
+
+    Coolant that reaches all sensors but one, a hall that warms and cools, and a sensor that drifts and is right again.
+    """
+    nobody, blamed, sure = replace(watching, watch=None), 0, 0
+    for seed in (6, 7, 8, 11):
+        of, since = machine(seed), np.arange(MINUTES) - REFERENCE
+        assert of.speed_rpm is not None
+        true = of.temperatures_degc + np.where(since >= 0, ambient_k * (1.0 - np.exp(-since / 30.0)), 0.0)[:, None]
+        true[since >= 5] += splash_k * (np.arange(SENSORS) != 2)
+        said = true.copy()
+        said[:, 1] -= np.where((since >= -25) & (since < 15), 0.25 * np.clip(since + 25, 0, 20), 0.0) * drift_k / 5.0
+        for after in (20, 42, 90):
+            truth_um, *_ = positioned_again(nobody, true, of.speed_rpm, after)
+            found_um, followed, count = positioned_again(watching, said, of.speed_rpm, after)
+            assert np.abs(found_um - truth_um)[followed].max(initial=0.0) <= 1.0
+            blamed, sure = blamed + int(count), sure + int(followed.sum())
+    assert blamed > 0 and sure > 0
+
+
 def taken_up(
     model: LinearModel, *, gone_at_reference: bool = False, begins: int = 0
 ) -> tuple[list[FloatArray], list[tuple[int, ...]], float]:
