@@ -274,6 +274,12 @@ o71 endif
 o70 endif
 (THE ECHO IS OUT BEFORE THIS ENDS: A RUN FROM LINE THROWS AWAY WHAT STILL WAITS THEN)
 M66 E{clock} L0
+@slopes
+#<far>=[ABS[#{mirror}*[{position}-[{pivot}]-#{place}]]]
+o89{number} if [[#<what> EQ 2] AND [#2 LT 3] AND [#<_metric> EQ 1] AND [#<far> GT 1]]
+(ABORT, TOOLPOINT CALL GUARD HERE)
+o89{number} endif
+@end
 @request
 o80 if [#<what> EQ 2]
 o81 if [[#2 LT 1] OR [#2 GT 3] OR [FIX[#2] NE #2] OR [#3 LT 0] OR [#3 GT {axis_count}] OR [FIX[#3] NE #3]]

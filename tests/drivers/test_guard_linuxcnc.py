@@ -415,3 +415,25 @@ async def test_a_request_without_its_number_is_none() -> None:
             await mill.linuxcnc.do(["mode", "MODE_MDI"], ["wait"])
         await mill.linuxcnc.mdi("M61 Q0", "o<toolpoint> call [2] [3] [0] [0]")
         assert float(mill.linuxcnc.halcmd("getp", pin)) == taken + 1, "the spindle is empty"
+
+
+async def test_what_is_measured_far_from_where_the_guard_was_called_is_not_asked_for() -> None:
+    """Work that is positioned there would be 2 um beside as soon as the guard is called."""
+    pin = f"motion.analog-out-{Pins.of(config(request=REQUEST)).outputs[517]:02d}"
+    async with started(request=REQUEST, request_timeout_s=0.2, on_timeout="continue") as mill:
+        await mill.linuxcnc.mdi("o<toolpoint> call [5]")
+        await mill.write({"S": 20.0}, enable=15.0)
+        for _ in range(3):
+            await mill.guard()
+        taken = 0
+        for at_mm, numbers, asks in ((50, "[1]", True), (100, "[1]", False), (100, "[2] [3] [0.004]", False)):
+            await mill.linuxcnc.mdi(f"G0 Z{at_mm}", f"o<toolpoint> call [2] {numbers}")
+            (*_, said) = await mill.linuxcnc.do(["messages"])
+            taken += asks
+            assert float(mill.linuxcnc.halcmd("getp", pin)) == taken, numbers
+            assert ("TOOLPOINT CALL GUARD HERE" in said) is not asks, numbers
+            await mill.linuxcnc.do(["mode", "MODE_MDI"], ["wait"])
+        for _ in range(4):
+            await mill.guard()
+        await mill.linuxcnc.mdi("o<toolpoint> call [2] [1]")
+        assert float(mill.linuxcnc.halcmd("getp", pin)) == taken + 1, "the guard was called there"

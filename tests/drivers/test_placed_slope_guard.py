@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from nc_requests import ACKNOWLEDGE, AXIS, COUNTER, KIND, VALUE
 from sloped_machine import FARTHEST_M, GUARD, MAP, PIVOT_MM, SLOPE, TRAVEL_MM, PlacedGuard, Z, configured, content
 
 from config.schema.cnc import MacroMapConfig
@@ -45,6 +46,50 @@ def test_a_slope_counts_for_where_the_axis_stands_and_the_operator_s_own_stays(g
     guard.write(0.0, 0.0)
     settled(guard)
     assert guard.offset_um() == pytest.approx(7.0) and guard.echo_um() == (0.0, 0.0)
+
+
+class RequestingGuard(PlacedGuard):
+    """The same with the program by which the NC asks."""
+
+    macros_used = MAP | {
+        "writable": ["120", "500-507", "524"],
+        "request": {"counter": COUNTER, "kind": KIND, "axis": AXIS, "value_mm": VALUE, "acknowledge": ACKNOWLEDGE},
+    }
+
+    def ask(self, **arguments: float) -> int:
+        """Ask and give up at once; return the number of the alarm that stopped it, 0: it has asked."""
+        assert self.nc.programs.request is not None
+        control, asked = self.nc.control, self.macros.get(COUNTER) or 0.0
+        control.alarm = None
+        interpreter = self.nc.at(self.macros, 1000.0)
+        interpreter.start(self.nc.programs.request, **arguments)
+        while interpreter.running and self.macros.get(COUNTER) == asked and control.alarm is None:
+            interpreter.step()
+        interpreter.reset()
+        assert (control.alarm is None) == (self.macros.get(COUNTER) != asked)
+        return 0 if control.alarm is None else control.alarm[0]
+
+
+@pytest.mark.parametrize("arguments", [{"K": 1.0}, {"K": 1.0, "A": 1.0}, {"K": 2.0, "A": 1.0, "V": 0.004}])
+def test_what_is_measured_far_from_where_the_guard_was_called_is_not_asked_for(arguments: dict[str, float]) -> None:
+    """With 15 um/m work that is positioned 0.5 m from there would be 7.5 um beside as soon as the guard is called."""
+    guard = RequestingGuard()
+    guard.write(4.0, 15.0)
+    guard.stand(500.0)
+    settled(guard)
+    assert guard.ask(**arguments) == 0
+    guard.stand(440.0)
+    assert guard.ask(**arguments) == 0, "not more than 1 um"
+    guard.stand(0.0)
+    then_um = guard.offset_um()
+    assert guard.ask(**arguments) == 124 and guard.ask(K=3.0, V=2.0) == 0
+    settled(guard)
+    assert abs(guard.offset_um() - then_um) == pytest.approx(7.5, abs=0.2)
+    assert guard.ask(**arguments) == 0
+    guard.write(4.0, 0.0)
+    settled(guard)
+    guard.stand(500.0)
+    assert guard.ask(**arguments) == 0, "without a slope an offset is the same everywhere"
 
 
 @pytest.mark.parametrize("at_mm", [None, -0.01, 500.01])

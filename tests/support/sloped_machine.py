@@ -1,6 +1,7 @@
 """A control whose Z axis takes an offset and a slope: configuration, macro map, and the guard on its control."""
 
 import json
+from collections.abc import Mapping
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -89,8 +90,10 @@ def proved(**slope: Any) -> dict[str, CommissionedAxis]:
 class SlopedGuard:
     """The guard's text on its control, at a time; nothing is applied, the operator has an offset and a slope."""
 
+    macros_used: Mapping[str, Any] = MAP
+
     def __init__(self, *, own_um: float = 0.0, own_um_per_m: float = 0.0, **guard: Any) -> None:
-        self.map = MacroMapConfig.model_validate(MAP)
+        self.map = MacroMapConfig.model_validate(self.macros_used)
         axes = {name: AxisConfig.model_validate(axis) for name, axis in (("z", Z), ("z_slope", SLOPE))}
         compensation = CompensationConfig(axes=axes)
         self.axes, self.pivots_mm = compensation.outputs, compensation.pivots_mm
