@@ -144,5 +144,5 @@ def test_a_single_impossible_value_changes_no_more_than_a_missing_one() -> None:
 
 def test_temperatures_that_never_change_make_no_model() -> None:
     still = replace(day(1), temperatures_degc=np.full((240, 5), 25.0))
-    with pytest.raises(DatasetError, match="no temperature can be used; every one is constant"):
+    with pytest.raises(DatasetError, match="no temperature can be used: T3: constant at 25 in training; T1: constant"):
         trained([still])

@@ -30,7 +30,8 @@ from models.recordings.dataset import DatasetError, Recording
 from models.recordings.findings import usable_recordings
 from models.records import FloatArray
 from models.thermal.family import ThermalModel
-from models.thermal.training.inputs import Inputs, build_inputs, unusable_sensors, with_sensors
+from models.thermal.training.inputs import Inputs, build_inputs, with_sensors
+from models.thermal.training.left_out_sensors import left_out_sensors
 from models.thermal.training.online import Followed, compensated_um, follow, following_share
 from models.thermal.training.prepared import prepare
 from models.thermal.training.recipes import RECIPES
@@ -82,7 +83,7 @@ def trials(
     """Return a family's trials on recordings that it has not seen, and how far the default is trusted and followed."""
     plain = build_inputs(used, sample_s=SAMPLE_S, lags_min=(), speed_lags_min=())
     trained = np.isin(plain.recording, train)
-    dropped = unusable_sensors(plain, trained)
+    dropped = left_out_sensors(used, SAMPLE_S, trained)
     kept = [with_sensors(r, [name for name in plain.sensor_names if name not in dropped]) for r in used]
     prepared = prepare(kept, SAMPLE_S, RECIPES[family], trained, probe_min)
     inputs, problem, rows = prepared.inputs, prepared.problem, prepared.rows

@@ -33,6 +33,7 @@ from models.thermal.training.evaluation import moving
 from models.thermal.training.families import fold_numbers
 from models.thermal.training.folds import cycles, inner_folds
 from models.thermal.training.inputs import Inputs, build_inputs, temperatures_alone, unusable_sensors, with_sensors
+from models.thermal.training.left_out_sensors import left_out_sensors
 from models.thermal.training.online import (
     Followed,
     compensated_um,
@@ -201,11 +202,8 @@ def _holds(inputs: Inputs, rows: np.ndarray[Any, np.dtype[np.intp]], fault: Faul
 
 
 def _one(recordings: Sequence[Recording], sample_s: float, model: str, protocol: Protocol, part: _Part) -> _Outcome:
-    plain = build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())
-    dropped = unusable_sensors(plain, part.train)
-    kept = [name for name in plain.sensor_names if name not in dropped]
-    if not set(kept) - set(plain.axis_positions):
-        raise DatasetError(f"no temperature can be used: {'; '.join(f'{n}: {why}' for n, why in dropped.items())}")
+    dropped = left_out_sensors(recordings, sample_s, part.train)
+    kept = [name for name in recordings[0].temperature_names if name not in dropped]
     chosen = [with_sensors(recording, kept) for recording in recordings]
     prepared = prepare(chosen, sample_s, RECIPES[model], part.train, protocol.probe_min)
     inputs, rows, fold, problem = prepared.inputs, prepared.rows, prepared.fold, prepared.problem

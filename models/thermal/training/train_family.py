@@ -6,7 +6,7 @@ from math import isfinite
 
 import numpy as np
 
-from models.recordings.dataset import DatasetError, Recording
+from models.recordings.dataset import Recording
 from models.recordings.findings import usable_recordings
 from models.recordings.plausibility import are_rises
 from models.records import FloatArray
@@ -17,7 +17,8 @@ from models.thermal.sensor_watch import SensorWatch
 from models.thermal.training.advice import indistinct, whole_runs, worse_channels
 from models.thermal.training.choice import Choice, ChosenProblem
 from models.thermal.training.families import Fit, fold_numbers
-from models.thermal.training.inputs import Inputs, build_inputs, temperatures_alone, unusable_sensors, with_sensors
+from models.thermal.training.inputs import Inputs, temperatures_alone, with_sensors
+from models.thermal.training.left_out_sensors import left_out_sensors
 from models.thermal.training.making import Fitted, increment_range_k, sensor_ids_from_names, training_data
 from models.thermal.training.prepared import Prepared, prepare
 from models.thermal.training.recipes import RECIPES, Recipe
@@ -84,13 +85,8 @@ def train_family(
 
     """
     recordings, warnings = usable_recordings(recordings)
-    plain = build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())
-    left_out = unusable_sensors(plain, np.ones(plain.rows, dtype=np.bool_))
-    kept = [name for name in plain.sensor_names if name not in left_out]
-    without = not set(kept) - set(plain.axis_positions)
-    del plain
-    if without:
-        raise DatasetError("no temperature can be used; every one is constant or mostly missing")
+    left_out = left_out_sensors(recordings, sample_s)
+    kept = [name for name in recordings[0].temperature_names if name not in left_out]
     used = [with_sensors(recording, kept) for recording in recordings]
     recipe = RECIPES[family] if isinstance(family, str) else family
     prepared = prepare(used, sample_s, recipe)
