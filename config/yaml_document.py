@@ -65,11 +65,9 @@ def read_yaml(text: str) -> YamlDocument:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         position = (mark.line + 1, mark.column + 1) if mark else (1, 1)
-        context = f" ({error.context})" if error.context else ""
-        sentence = f"this is not valid YAML: {error.problem}{context}"
-        if "'\\t'" in (error.problem or ""):
-            sentence = "a tab may not stand here; indent with blanks"
-        document.faults.append(Fault(position, (), sentence))
+        from config.yaml_refusals import sentence_of  # noqa: PLC0415
+
+        document.faults.append(Fault(position, (), sentence_of(error)))
         return document
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
