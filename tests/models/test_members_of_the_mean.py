@@ -7,9 +7,15 @@ import pytest
 
 from models.recordings.dataset import Recording
 from models.thermal.estimation import Machine, OnlineReference
-from models.thermal.features import lag_table
+from models.thermal.features import BoolArray, IntArray, lag_table
 from models.thermal.linear import LinearModel
+from models.thermal.training.choice import ChosenProblem, mean_of
 from models.thermal.training.families import MEMBER_FACTOR, MEMBER_SLACK, members
+from models.thermal.training.folds import inner_folds
+from models.thermal.training.gaussian_member import GaussianMember
+from models.thermal.training.inputs import Inputs, build_inputs
+from models.thermal.training.lags import part_of, widened
+from models.thermal.training.ridge_member import DEPARTURES, LEVELS, RidgeMember
 from models.thermal.training.train_family import FamilyTraining, train_family
 
 MINUTES, SENSORS = 73, 8
@@ -133,3 +139,66 @@ def test_a_default_that_needs_no_lags_still_watches_its_sensors(runs: list[Recor
     for row in range(MINUTES, MINUTES + 20):
         online.on_sample(float(row), spoilt + rng.normal(0.0, 0.1, SENSORS), float("nan"))
     assert list(online.excluded) == [model.sensor_ids[3]]
+
+
+def prepared(runs: list[Recording]) -> tuple[Inputs, BoolArray, IntArray]:
+    inputs = build_inputs(runs, sample_s=60.0, lags_min=(10.0, 30.0), speed_lags_min=())
+    rows = inputs.trainable()
+    return inputs, rows, inner_folds(inputs, rows)[0]
+
+
+def leaving(member: RidgeMember | GaussianMember, share: float, seed: int) -> None:
+    """Let a member leave this share of each run, by chance as a seed says."""
+    assert member.errors is not None
+    measured = member.errors.measured_um
+    rng = np.random.default_rng(seed)
+    left = tuple(share * um.std() * rng.normal(size=um.shape) for um in measured)
+    member.errors = replace(member.errors, residual_um=left)
+
+
+def test_far_out_the_best_ridge_counts_also_where_another_one_is_a_member(runs: list[Recording]) -> None:
+    """A ridge that errs the other way makes the mean better; alone, beyond the domain, it is still a worse one."""
+    inputs, rows, fold = prepared(runs)
+    process = GaussianMember("process", inputs, rows, fold, None, departures=False)
+    worse = RidgeMember("worse", part_of(inputs, (), ()), rows, fold, None, LEVELS)
+    better = RidgeMember("better", inputs, rows, fold, None, DEPARTURES)
+    leaving(process, 0.2, seed=1)
+    leaving(worse, 0.8, seed=1)
+    leaving(better, 0.7, seed=1)
+    assert worse.errors is not None
+    worse.errors = replace(worse.errors, residual_um=tuple(-um for um in worse.errors.residual_um))
+    mean = mean_of("gaussian and ridges", [process, worse, better], inputs, rows, [worse, better])
+    assert mean.hyper_parameters["members"] == "process, worse"
+    fit = mean.fit(frozenset())
+    assert fit.mixture is not None
+    far = fit.solutions[fit.mixture.outside]
+    wanted = widened(better.solution(frozenset()), mean.layout)
+    np.testing.assert_allclose(far.coefficients(), wanted.coefficients())
+
+
+@pytest.mark.parametrize(
+    ("shares", "family"),
+    [
+        ((0.1, 0.25, 0.1, 0.25, 0.1), "gaussian"),
+        ((0.1, 0.1, 0.1, 0.1, 0.1), "gaussian and ridges"),
+    ],
+)
+def test_processes_and_ridges_together_must_be_clearly_better_than_one_kind(
+    runs: list[Recording], monkeypatch: pytest.MonkeyPatch, shares: tuple[float, ...], family: str
+) -> None:
+    """What is better on some of few runs and worse on others is better by chance: it is the best of more trials."""
+    inputs, rows, fold = prepared(runs)
+    found = []
+    for number, (name, left) in enumerate((("lags", 0.3), ("gaussian", 0.2), ("gaussian and ridges", 1.0))):
+        member = RidgeMember(name, inputs, rows, fold, None, DEPARTURES)
+        leaving(member, left, seed=number)
+        assert member.errors is not None
+        if name == "gaussian and ridges":
+            residuals = zip(shares, member.errors.residual_um, strict=True)
+            member.errors = replace(member.errors, residual_um=tuple(share * um for share, um in residuals))
+        found.append(mean_of(name, [member], inputs, rows))
+    assert found[2].score < found[1].score < found[0].score
+    monkeypatch.setattr(ChosenProblem, "_mixed", lambda self, speeds: list(found))
+    choice = ChosenProblem(("lags", "gaussian"), inputs, rows, fold, None).choice
+    assert choice.family == family
+    assert "gaussian and ridges leaves" in choice.why

@@ -47,6 +47,8 @@ CLEARLY_BETTER = 0.5
 """By so many standard errors of the difference the mean must be better than a family on temperatures alone ..."""
 PLAIN_BETTER = 1.0
 """... and one on temperatures alone than another of these."""
+MIXED_BETTER = 1.0
+"""By so many the mean of processes and ridges must be better than that of one kind: it is the best of more trials."""
 WATCH_IS_WORTH = 0.02
 """A family of which no sensor can be left out, so that none can be watched, must leave so much less of the error."""
 FEWEST_TO_MIX = 3
@@ -210,9 +212,12 @@ class ChosenProblem:
                 why = f"gaussian was asked for by name, but the model holds no Gaussian process: {why}"
         else:
             others = self._mixed([False, True] if with_speed else [False])
-            chosen = min(others, key=lambda one: one.score)
-            if len(others) > 1:
+            *of_one_kind, last = others
+            chosen = min(of_one_kind or [last], key=lambda one: one.score)
+            if of_one_kind:
                 reasons.append(_comparison(others))
+                chosen, reason = simpler(chosen, last, errors=MIXED_BETTER)
+                reasons += [reason] if chosen is last or last.score < chosen.score else []
             why = "; ".join(reasons) or f"{chosen.family} was asked for by name"
         if best_plain is None:
             return chosen, others, why
@@ -384,7 +389,7 @@ def mean_of(
     known = len(errors) == len(made)
     weights, left = mean_weights(errors, mixed=mixed) if known else (even_weights(scores), None)
     kept = [(made[index], weight) for index, weight in weights.items()]
-    far = min([one for one, _ in kept if isinstance(one, RidgeMember)] or ridges, key=_score, default=None)
+    far = min(ridges, key=_score, default=None)
     found = _mean(family, kept, left, inputs, rows, far)
     if np.isfinite(scores).all():
         found.hyper_parameters["tried"] = ", ".join(one.name for one in made)
