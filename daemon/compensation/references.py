@@ -65,8 +65,8 @@ class References:
         self._safe_flag, self._guard_status = macros.safe_flag, macros.echo_status
         self._echo = (macros.echo_time, *macros.echo_applied.values())
         self._foreign: list[str] = []
-        self._positioned: tuple[str, list[float | None]] = ("", [])
-        """The latest reference that was asked for and does not count yet, and what the guard echoed then."""
+        self._positioned: tuple[str, int, list[float | None]] = ("", 0, [])
+        """The latest reference that was asked for and does not count yet, and then the tool, and what was echoed."""
         terms = [axis.tool_term for axis in configuration.compensation.axes.values() if axis.tool_term is not None]
         self._expanding = frozenset(label for term in terms for label in term.temperatures)
         self._clock = clock
@@ -139,10 +139,12 @@ class References:
         went_back = then_s is not None and now_s is not None and now_s < then_s <= before.clock_s
         if (went_back or (foreign not in ([], known) and then != now)) and not power_cycled(before, polled):
             return "somebody has put back or emptied the guard's macros, so what is applied is not known"
-        identity, stood = self._positioned = ("", now) if counted_id == self._positioned[0] else self._positioned
+        if counted_id == self._positioned[0]:
+            self._positioned = ("", 0, now)
+        identity, tool, stood = self._positioned
         late = self.current is not None and self.current.reference_id == identity
-        moved = late and _farthest_um(stood, now) > UNSURE_UM
-        return "the guard moved the axes between the positioning and its reference, which came late" if moved else ""
+        changed = self.tools_differ and polled.tool_number != tool
+        return _changed_before(tool=changed, moved=_farthest_um(stood, now) > UNSURE_UM) if late else ""
 
     def on_sample(self, polled: CncSample, asked_s: float) -> None:
         """Take one poll of the CNC, for which it was asked at `asked_s` [s]."""
@@ -290,8 +292,15 @@ class References:
             self._journal.say(effect.kind, effect.text)
             return
         if isinstance(effect, ReferenceRequest) and self.sample is not None:
-            self._positioned = effect.reference_id, [self.sample.macros.get(n) for n in self._echo[1:]]
+            echo = [*map(self.sample.macros.get, self._echo[1:])]
+            self._positioned = effect.reference_id, self.sample.tool_number, echo
         self._tell_thermal(effect)
+
+
+def _changed_before(*, tool: bool, moved: bool) -> str:
+    """Return what was no longer as at the positioning when its reference came, '' where nothing was."""
+    guard = "the guard moved the axes between the positioning and its reference, which came late" if moved else ""
+    return "the tool was changed between the positioning and its reference, which came late" if tool else guard
 
 
 def _farthest_um(then: list[float | None], now: list[float | None]) -> float:

@@ -112,8 +112,7 @@ class LeftOut:
     def imputed(self, change: FloatArray, without: Sequence[int]) -> FloatArray:
         """Return a change of the features with that of some sensors imputed from all other features.
 
-        Each solution gives with its own imputation exactly what it gives without these sensors; of several
-        the mean is taken, of a lag over those that use it.
+        Of several solutions the mean, see `imputed_mean`: each gives with its own what it gives without these sensors.
 
         `change`, shape (layout.columns,) or (n, layout.columns): change of the features; what it holds for the sensors
         left out does not count. `without`: indices of the sensors, from 0.

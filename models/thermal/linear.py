@@ -124,13 +124,9 @@ class LinearOnline:
 
     def set_reference(self, reference: OnlineReference) -> tuple[int, ...]:
         """Keep the states at the reference; those of one that lies back come from its history."""
-        self._left_out = {}
-        readmitted_ids: tuple[int, ...] = ()
         before = self._state
-        if reference.excluded is None:
-            readmitted_ids = self._readmit()
-        elif self.model.watch is None:
-            self._left_out = dict(reference.excluded)
+        readmitted_ids = self._readmit() if reference.excluded is None else ()
+        self._left_out = dict(reference.excluded or {}) if self.model.watch is None else {}
         if self.history_min <= 0.0:
             state: ModelState | None = self._estimator.begin(reference.time_min, reference.degc)
         elif reference.history is not None:
@@ -280,9 +276,8 @@ class LinearOnline:
 
 def _found_wrong(state: ModelState | None) -> list[int]:
     """Return the indices of the sensors that the watch has found wrong; one that is only missing is not."""
-    if state is None or state.watch is None:
-        return []
-    return [fault.sensor for fault in state.watch.faults if fault.sign != MISSING]
+    faults = () if state is None or state.watch is None else state.watch.faults
+    return [fault.sensor for fault in faults if fault.sign != MISSING]
 
 
 def _as_held(state: ModelState | None, reference: OnlineReference) -> ModelState | None:
