@@ -66,6 +66,17 @@ def test_what_was_missing_once_is_kept() -> None:
     assert left_out_sensors(once, 60.0) == {}
 
 
+def test_what_was_repaired_is_kept() -> None:
+    repaired = with_holes(runs()[:2], "far", HOLES_MIN, 45) + runs()[2:]
+    assert left_out_sensors(repaired, 60.0) == {}
+    assert "far" in left_out_sensors(repaired[::-1], 60.0), "it began to fail"
+
+
+def test_what_was_built_in_later_is_kept() -> None:
+    later = with_holes(runs(12)[:2], "far", (0,), MINUTES) + runs(12)[2:]
+    assert left_out_sensors(later, 60.0) == {}
+
+
 def test_rows_that_are_not_trained_on_have_no_say() -> None:
     recordings = runs()[:4] + with_holes(runs()[4:], "far", HOLES_MIN, 45)
     first = np.arange(5 * MINUTES) < 4 * MINUTES

@@ -76,7 +76,9 @@ def test_a_bundle_that_lacks_a_wheel_has_no_bill(wheels: Path) -> None:
 def test_make_bundle_writes_the_bill_and_its_checksum_covers_it() -> None:
     makefile = (CI.parent / "Makefile").read_text("utf-8")
     made = makefile.index("bill_of_materials.py dist/bundle/wheels package-lock.json dist/bundle/sbom.cdx.json")
-    assert makefile.index("pip wheel") < made < makefile.index("> SHA256SUMS")
+    assert made < makefile.index("> SHA256SUMS")
+    assert "\nbundle: $(VENV)/.installed-dev dist/bundle/wheels\n" in makefile, "the wheels are there before it"
+    assert makefile.index("\ndist/bundle/wheels: ") < makefile.index("pip wheel")
 
 
 def answer(*dependencies: dict[str, Any]) -> str:

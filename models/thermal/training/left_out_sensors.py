@@ -19,7 +19,8 @@ SHARES = (0.1, 0.05, 0.02)
 """Those that are missing in more than one of these shares of the training rows are tried to be left out, together."""
 NAMED = 5
 FEWEST_TIMES = 2
-"""What was missing once may have been repaired since."""
+"""What fell silent once, or in the first half of the rows alone, has perhaps been repaired; what whole runs lack was
+perhaps built in after them."""
 
 
 def left_out_sensors(
@@ -62,10 +63,11 @@ def left_out_sensors(
 
 
 def _missing(inputs: Inputs, wanted: BoolArray, name: str) -> BoolArray:
-    """Return in which of the wanted rows a temperature was missing for longer than is bridged, if more than once."""
+    """Return in which of the wanted rows a temperature was missing, if it fell silent repeatedly, and lately too."""
     rows = inputs.long_missing[wanted, inputs.sensor_names.index(name)]
-    begins = rows & np.append(True, ~rows[:-1] | (np.diff(inputs.run[wanted]) != 0))
-    return rows if begins.sum() >= FEWEST_TIMES else np.zeros_like(rows)
+    fell_silent = np.flatnonzero(rows[1:] & ~rows[:-1] & (np.diff(inputs.run[wanted]) == 0))
+    often = len(fell_silent) >= FEWEST_TIMES and fell_silent[-1] >= len(rows) // 2
+    return rows if often else np.zeros_like(rows)
 
 
 def _candidates(missing: Mapping[str, BoolArray]) -> list[tuple[str, ...]]:
