@@ -34,6 +34,8 @@ LOOK_ANYWAY_S = 5.0
 STOP_WITHIN_S = 10.0
 TELL_PERIOD_S = 5.0
 OpenSink = Callable[[SinkConfig, str], Sink]
+Files = tuple[tuple[int, int, int] | None, ...]
+"""Number, size and time of change of a store's files; None where there is none."""
 
 
 def make_sink(config: SinkConfig, machine: str) -> Sink:
@@ -133,14 +135,14 @@ class SinkRunner:
         try:
             there = dict(sink.open(self.cursor))
             self._progress.cursor = replace(self.cursor, positions=there)
-            nothing_more: tuple[object, float] = None, 0.0
-            """How the store's files were at the last look, where that left nothing, and when it was."""
+            all_taken_of: Files | None = None
+            looked_s = 0.0
             while not self._stop.is_set():
                 files, now_s, more = _files(self._store), time.monotonic(), False
-                if sink.needs_rows() and files == nothing_more[0] and now_s - nothing_more[1] < LOOK_ANYWAY_S:
+                if sink.needs_rows() and files == all_taken_of and now_s - looked_s < LOOK_ANYWAY_S:
                     self._wait(self._config.period_s)
                     continue
-                nothing_more = None, now_s
+                all_taken_of, looked_s = None, now_s
                 try:
                     with Outbox(self._store) as outbox:
                         self._begin_anew_where_needed(outbox)
@@ -155,7 +157,7 @@ class SinkRunner:
                     sink.look_on()
                 else:
                     self._went_well()
-                    nothing_more = None if more else files, now_s
+                    all_taken_of = None if more else files
                 if not more:
                     self._wait(self._config.period_s)
         finally:
@@ -207,7 +209,7 @@ class SinkRunner:
                 log.error("sink.cursor", path=str(self._path), problem=str(error))
 
 
-def _files(store: Path) -> tuple[tuple[int, int, int] | None, ...]:
+def _files(store: Path) -> Files:
     """Return what changes with every row that is committed to a store."""
     found: list[tuple[int, int, int] | None] = []
     for path in (store, store.with_name(f"{store.name}-wal")):
