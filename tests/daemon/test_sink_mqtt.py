@@ -29,6 +29,7 @@ from config.schema.service import HistoryConfig
 from config.schema.sinks import BrokerConfig, SinkConfig
 from daemon.history.cursors import Cursor, cursor_path
 from daemon.history.writer import HistoryWriter
+from daemon.sinks import running
 from daemon.sinks.ahead import Ahead
 from daemon.sinks.broker import Broker, Message
 from daemon.sinks.contract import Progress, SinkError
@@ -341,6 +342,32 @@ def test_a_limit_of_the_broker_is_named(tmp_path: Path, setting: str, said: str)
             if said in cursor.problem:
                 break
     assert said in cursor.problem and cursor.sent_rows == 0
+
+
+@pytest.mark.parametrize("changes", [{"mqtt": {"history": []}}, {"sparkplug": {"group": "Plant"}}])
+def test_a_lost_broker_is_noticed_though_the_store_stands_still(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changes: dict[str, dict[str, object]]
+) -> None:
+    monkeypatch.setattr(running, "LOOK_ANYWAY_S", 1e9)
+    store, stop, broker = tmp_path / "h.sqlite", threading.Event(), Mosquitto(tmp_path, OPEN)
+    fill(store, hours=0.1)
+    broker.start()
+    ((driver, more),) = changes.items()
+    there = {"host": "127.0.0.1", "port": broker.port, "tls": False, "timeout_s": 30.0} | more
+    config = SinkConfig.model_validate({"name": "plant", "driver": driver, driver: there})
+    problems: list[str] = []
+
+    def wait(_duration_s: float) -> None:
+        problems.append(runner.cursor.problem)
+        if len(problems) == 5:
+            broker.kill()
+        threading.Event().wait(0.05)
+        if problems[-1] or len(problems) > 200:
+            stop.set()
+
+    runner = SinkRunner(config, store, MACHINE, stop, wait=wait)
+    runner.run()
+    assert not any(problems[:5]) and problems[-1].startswith(f"sink plant: broker 127.0.0.1:{broker.port}: ")
 
 
 def test_no_more_waits_for_its_acknowledgement_than_the_broker_allows(tmp_path: Path) -> None:
