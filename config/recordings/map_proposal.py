@@ -1,7 +1,8 @@
 """Proposes the map of a recording from the names of its columns and its first rows; a person checks it.
 
-A column is what its name says: a unit in it, else a word, else a letter with a number. What no name tells is left out
-and named, never guessed: a wrong column in a model is worse than a missing one.
+A column is what its name says: a unit in it, else a word, else a letter with a number; of a length in mm or in its
+values say whether an axis can stand there. What these do not tell is left out and named, never guessed: a wrong column
+in a model is worse than a missing one.
 """
 
 import re
@@ -15,7 +16,7 @@ from typing import Any
 import yaml
 
 from config.recordings.column_units import RPM_PER_UNIT, TIMES, unit_in, unit_of
-from config.recordings.recording_map import RecordingMap, are_days, fits
+from config.recordings.recording_map import UM_PER_UNIT, RecordingMap, are_days, fits
 from models.recordings.plausibility import HIGHEST_DEGC, LOWEST_DEGC
 
 _DATE = re.compile(r"\b(date|datum|tag|day|data|dato|fecha)\b|日付|年月日")
@@ -42,8 +43,13 @@ _UM = re.compile(r"[µμ]m|\bum\b|_um$|micron|micromet")
 _COARSE = {"mm": re.compile(r"\bmm\b|_mm$"), "in": re.compile(r"[\[(]\s*in\s*[\])]|\binch(es)?\b|_in(ch)?$")}
 _WITH_COARSE = re.compile(r"[\s_]*[\[(]?\s*\b(mm|in|inch(es)?)\b\s*[\])]?$|_(mm|in|inch)$")
 """What the name of a channel loses: the map turns it into micrometres."""
+_PLACE = re.compile(r"\bpos|\bach?se|\baxis|\blage\b|位置")
+SMALL_UM = 1000.0
+"""No axis moves and stays so near to zero ..."""
+FEWEST_SMALL = 10
+"""... at so many different places."""
 _MOVES = re.compile(r"変位|displace|verlagerung|deviation|thermal.?error|\bweg\b|probe|^d[xyz]|^e[xyz]|^c\d+\b")
-"""Beside millimetres a displacement says so; an axis position is in millimetres, too."""
+"""Beside millimetres a displacement says so, or stays small; an axis position is in millimetres, too."""
 _OTHER_UNIT = re.compile(r"\bnm\b|\bkw\b|[\[(]\s*[wav]\s*[\])]|%|\bbar\b|\bhz\b|\bl/min\b")
 """One letter is a unit in brackets alone: `Temp A` is a temperature."""
 _TEMPERATURE = re.compile(r"温度|temp|thermo|pt ?100+|^tc ?\d+|^rtd|^t[a-z]? ?\d+$|^t ")
@@ -69,6 +75,10 @@ _FORMATS = (
     *(f"{date} {time}" for date in _DATES for time in _OF_DAY),
 )
 """Where a clock has twelve hours, the month is first as a rule."""
+_NINES = re.compile(r"-?9{3,}([.,](9+|0+))?|-?3276[78]([.,]0+)?")
+"""What loggers write where they have no value."""
+FAR_OFF = 3.0
+"""So many times as far from all other values of a column as these from each other: then it is none."""
 FEWEST_NUMBERED = 4
 """So many columns that are called by a number are named together."""
 JAPANESE = ("温度", "変位", "時刻", "日時", "回転")
@@ -132,6 +142,13 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
     keys |= _time_keys(columns, described, notes)
     taken = {keys.get("time"), keys.get("date")}
     kinds = {name: _kind(described[name]) for name in numbers if name not in taken}
+    small = [name for name, kind in kinds.items() if kind is None and _is_small(described[name], columns[name])]
+    kinds |= dict.fromkeys(small, "displacements")
+    if small:
+        notes.append(
+            f"by their names {', '.join(map(repr, small))} may be displacements or where axes stand: displacements, "
+            "because they move and stay within 1 mm of zero"
+        )
     speeds = [name for name, kind in kinds.items() if kind == "speed"]
     if speeds:
         speeds.sort(key=lambda name: _OF_SPINDLE.search(described[name]) is None)
@@ -202,6 +219,15 @@ def _described(header: Sequence[str], units: Sequence[str]) -> dict[str, str]:
 def _coarse(said: str) -> str | None:
     """Return the unit of a length that is not in micrometres."""
     return next((unit for unit, form in _COARSE.items() if form.search(said)), None)
+
+
+def _is_small(said: str, texts: Sequence[str]) -> bool:
+    """Return whether a length in mm or in moves and stays so near to zero that it is no axis position."""
+    unit = _coarse(said)
+    if unit is None or _PLACE.search(said):
+        return False
+    known = {number for text in texts if (number := _number(text)) is not None}
+    return len(known) >= FEWEST_SMALL and max(map(abs, known)) * UM_PER_UNIT[unit] < SMALL_UM
 
 
 def _in_units_of_time(said: str) -> bool:
@@ -330,7 +356,20 @@ def _for_missing(texts: Sequence[str]) -> set[str]:
     known = [text for text in texts if _number(text) is not None]
     words = {text for text in texts if text and _number(text) is None}
     wordy = 2 * len(known) < len([text for text in texts if text])
-    return set() if wordy else {text for text in words if text[0] == "#" or not any(mark.isdigit() for mark in text)}
+    if wordy:
+        return set()
+    return _far_nines(known) | {text for text in words if text[0] == "#" or not any(mark.isdigit() for mark in text)}
+
+
+def _far_nines(texts: Sequence[str]) -> set[str]:
+    """Return the numbers, such as -9999, that loggers write for no value, where they lie far from all others."""
+    nines = {text for text in texts if _NINES.fullmatch(text)}
+    others = [number for text in texts if text not in nines and (number := _number(text)) is not None]
+    if not nines or len(others) <= len(texts) / 2:
+        return set()
+    low, high = min(others), max(others)
+    far = FAR_OFF * max(high - low, abs(low), abs(high))
+    return {text for text in nines if not low - far <= (_number(text) or 0.0) <= high + far}
 
 
 def _unread(name: str, texts: Sequence[str], missing: Sequence[str]) -> str:

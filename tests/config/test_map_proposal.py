@@ -213,3 +213,23 @@ def test_a_field_that_is_wrong_keeps_no_other_from_standing_for_a_missing_value(
     found = propose_map(header, texts)
     assert found.keys["missing"] == ["#DIV/0!", "---", "OL"] and found.keys["temperatures"] == ["T2"]
     assert found.notes[0].startswith("'T1' is left out: row 5 holds '2O.4', which is no number")
+
+
+@pytest.mark.parametrize(("name", "step", "unit"), [("E25 (mm)", 0.0004, "mm"), ("Y [in]", 0.00001, "in")])
+def test_a_length_that_moves_and_stays_near_zero_is_a_displacement(name: str, step: float, unit: str) -> None:
+    def proposed(name: str, values: list[float]) -> MapProposal:
+        texts = [[f"{10 * row}", "20.1", f"{value:.6f}"] for row, value in enumerate(values)]
+        return propose_map(["time_s", "T1", name], texts)
+
+    found = proposed(name, [0.002 + step * row for row in range(20)])
+    assert found.keys["displacements"] == [name] and found.keys["displacement_units"] == {name: unit}
+    assert found.notes[0].startswith(f"by their names {name!r} may be displacements or where axes stand")
+    assert proposed(name, [250.0 + row for row in range(20)]).lacking == ("displacements",), "an axis that moves"
+    assert proposed(name, [0.0] * 20).lacking == ("displacements",), "an axis that stands at zero"
+    assert proposed(f"Pos {name}", [step * row for row in range(20)]).lacking == ("displacements",)
+
+
+def test_nines_far_from_all_other_values_stand_for_a_missing_value() -> None:
+    texts = [[f"{row}", "-9999" if row == 3 else f"{20.1 + row / 10:.1f}", f"{999 + row}"] for row in range(8)]
+    texts[5][1] = "-9999.0"
+    assert propose_map(["t_s", "T1", "X_um"], texts).keys["missing"] == ["-9999", "-9999.0"]
