@@ -9,6 +9,7 @@ import numpy as np
 from models.recordings.blocks import contiguous_runs
 from models.recordings.dataset import DatasetError, Recording
 from models.recordings.exchanged_sensors import Exchange, exchanges
+from models.recordings.overlaps import without_overlaps
 from models.recordings.plausibility import (
     HIGHEST_DEGC,
     LOWEST_DEGC,
@@ -129,10 +130,12 @@ def require_usable(recording: Recording, rows_together: int | None = None) -> tu
 
 
 def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
-    """Return recordings that may be used together, without values that cannot be, and the warnings about them.
+    """Return recordings that may be used together, each row once and without values that cannot be, and the warnings.
 
-    Raises DatasetError naming every error of the first recording that has one, see `require_usable`.
+    Raises DatasetError naming every error of the first recording that has one, see `require_usable`, and where all of
+    a recording is in another.
     """
+    recordings, overlaps = without_overlaps(recordings)
     together = sum(recording.rows for recording in recordings)
     found = [(r.name, finding) for r in recordings for finding in require_usable(r, together)]
     gaps = [(name, finding) for name, finding in found if finding.missing]
@@ -150,7 +153,7 @@ def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording],
         for found in disagreements(possible, known)
         if np.isfinite(possible[found.recording].temperatures_degc[:, found.sensor]).any()
     ]
-    return possible, (*disagreeing, *_rises(possible), *warnings)
+    return possible, (*disagreeing, *_rises(possible), *overlaps, *warnings)
 
 
 def _gaps(gaps: Sequence[tuple[str, Finding]]) -> str:

@@ -173,10 +173,25 @@ def test_kelvin_millimetres_and_raw_counts_are_recognised() -> None:
 
 def test_rises_since_the_start_are_told_and_named_where_only_some_recordings_hold_them() -> None:
     rises = replace(recording(), temperatures_degc=recording().temperatures_degc - recording().temperatures_degc[0])
-    (of_all,) = usable_recordings([rises, replace(rises, name="b.csv")])[1]
+    other = replace(rises, name="b.csv", displacements_um=rises.displacements_um + 1.0)
+    (of_all,) = usable_recordings([rises, other])[1]
     assert of_all.startswith("day.csv, b.csv: all temperatures begin at 0") and "changes since a reference" in of_all
     (of_one,) = usable_recordings([rises, replace(recording(), name="b.csv")])[1]
     assert of_one.startswith("day.csv: all") and "in these recordings alone; add what each sensor read" in of_one
+
+
+def test_rows_that_two_recordings_share_count_once_and_a_recording_within_another_is_refused() -> None:
+    whole = recording()
+    early, late = replace(whole.part(0, 40), name="a.csv"), replace(whole.part(25, whole.rows), name="b.csv")
+    for given in ([early, late], [late, early]):
+        used, (said,) = usable_recordings(given)
+        assert said == "b.csv: its first 15 rows are the last ones of a.csv, and count once: the two recordings overlap"
+        assert sum(one.rows for one in used) == whole.rows and used[given.index(late)].time_s[0] == whole.time_s[40]
+    with pytest.raises(DatasetError, match=r"b.csv: all its rows are in day.csv too; give each run once"):
+        usable_recordings([whole, late])
+    still = replace(whole, temperatures_degc=np.full_like(whole.temperatures_degc, 21.0))
+    still = replace(still, displacements_um=np.zeros_like(still.displacements_um))
+    assert len(usable_recordings([still.part(0, 40), still.part(25, still.rows)])[0][1].time_s) == still.rows - 25
 
 
 @pytest.mark.parametrize("value", [850.0, -200.0, 1e9])

@@ -9,7 +9,7 @@ import numpy as np
 
 from config.recordings.recording_map import RecordingMap
 from daemon.workbench.thermal.choice_figures import choice_figures, choice_of
-from daemon.workbench.thermal.reading import read_alike, require_different
+from daemon.workbench.thermal.reading import read_alike
 from daemon.workbench.thermal.result_pages import Stretch
 from daemon.workbench.thermal.shortfalls import (
     beyond_training,
@@ -120,8 +120,6 @@ def evaluate(
     stretches: list[Stretch] | None = None,
 ) -> dict[str, Any]:
     """Return the figures of a family on recordings, for JSON; `stretches` takes what a page draws."""
-    if protocol.leave_out == "runs":
-        require_different(recordings)
     whole = build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())
     parts = _parts(whole, protocol)
     _require_faults(whole, parts, protocol.faults)

@@ -5,8 +5,6 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from config.recordings.map_proposal import JAPANESE, MapProposal, propose_map
 from config.recordings.recording_map import ColumnError, RecordingMap, matching_names, units_and_names, usual_map
 from drivers.files.recording_csv import read_recording
@@ -48,17 +46,6 @@ def _in_order(recording: Recording, before: Sequence[Recording]) -> Recording:
     if set(first.displacement_names) == set(recording.displacement_names):
         recording = recording.with_channels(first.displacement_names)
     return recording
-
-
-def require_different(recordings: Sequence[Recording]) -> None:
-    """Refuse a recording that is given twice: it would be tested on a model that was trained on it."""
-    for second, recording in enumerate(recordings):
-        for first, other in enumerate(recordings[:second]):
-            if np.array_equal(recording.temperatures_degc, other.temperatures_degc, equal_nan=True):
-                raise DatasetError(
-                    f"{recording.name}: recordings {first + 1} and {second + 1} hold the same temperatures; give each "
-                    "run once, or the model is tested on what it was trained on"
-                )
 
 
 def common_map(paths: Sequence[Path], recording_map: RecordingMap | None) -> RecordingMap:

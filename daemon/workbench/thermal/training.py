@@ -14,7 +14,7 @@ from config.files import write_whole
 from config.recordings.recording_map import RecordingMap
 from config.schema.base import NAME_PATTERN
 from daemon.telemetry.metrics import keep_one_heap
-from daemon.workbench.thermal.reading import read_alike, require_different
+from daemon.workbench.thermal.reading import read_alike
 from drivers.files.recording_origin import machine_of
 from models.json_values import finite_or_none
 from models.recordings.dataset import DatasetError, Recording
@@ -77,7 +77,6 @@ def selected_recordings(
     """Read the part of the recordings that is trained on; raises RecordingFileError or DatasetError."""
     kept = kept_paths(paths, selection)
     read = read_alike(kept, recording_map, progress, common=selection.common_columns)
-    require_different(read)
     return [_selected(recording, selection) for recording in read]
 
 
