@@ -219,6 +219,10 @@ def test_what_would_not_be_had_on_line_and_a_channel_that_is_made_worse_are_said
     assert sentence.startswith("test: 90% of the error could be removed, on line it would be 50%")
     assert "it goes beyond training (spindle speed to 7000 1/min (training: 5000)): record 2 runs" in sentence
     assert on_line_sentences([faster | {"online": online | {"reduction_rmse": 0.85}}], {}) == []
+    warm = faster | {"reduction_rmse": -0.31, "online": online | {"reduction_rmse": -0.0002, "following": 0.15}}
+    (sentence,) = on_line_sentences([warm], {})
+    assert sentence.startswith("test: the estimate makes the error 31% larger, on line it would be 0%, because")
+    assert "follow for 15% of the time" in sentence and "begins without its past" in sentence
     gaps = faster | {"online": online | {"following": 0.6, "imputed_unsure": 0.3}}
     (sentence,) = on_line_sentences([gaps], {"test": ["t1 by 9 K (training: 8)"]})
     assert "for 30% of the time" in sentence and "fields are empty" in sentence and "beyond training" not in sentence

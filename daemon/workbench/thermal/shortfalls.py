@@ -14,6 +14,8 @@ from models.thermal.training.online import FULL_WEIGHT, HOLD_MIN, NO_WEIGHT
 
 LOST = 0.1
 """On line so much less of the error is removed that it is said why."""
+HARDLY = 0.5
+"""Where the output would follow for less of the time, it is said why an estimate that makes things worse does."""
 BEYOND = 0.05
 """A value lies beyond training when it leaves the range by more than this share of it."""
 TURNED_LEFT = 0.8
@@ -54,13 +56,14 @@ def _number(value: float) -> str:
 
 
 def on_line_sentences(tests: Sequence[Mapping[str, Any]], beyond: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return why less would be had on line of tests than could be removed, the worst first."""
+    """Return why less would be had on line of tests than could be removed, or nothing could, the worst first."""
     lost = []
     for test in tests:
         online, could = test["online"], test["reduction_rmse"]
         if online is None or could is None or online["reduction_rmse"] is None:
             continue
-        if (less := could - online["reduction_rmse"]) > LOST:
+        less = could - online["reduction_rmse"]
+        if less > LOST or (could < 0.0 and online["following"] < HARDLY):
             lost.append((less, _on_line_sentence(test, beyond.get(test["name"], ()))))
     lost.sort(key=lambda each: -each[0])
     rest = [f"so it is in {len(lost) - MOST_NAMED} more tests"] if len(lost) > MOST_NAMED else []
@@ -110,10 +113,14 @@ def _on_line_sentence(test: Mapping[str, Any], beyond: Sequence[str]) -> str:
             "it begins without its past, or goes through a mixture of speeds and temperatures that training has not "
             "seen: record some hours before it too, and 2 more runs like it"
         )
+    could = test["reduction_rmse"]
+    estimated = f"{could:.0%} of the error could be removed"
+    if could < 0.0:
+        estimated = f"the estimate makes the error {-could:.0%} larger"
     return (
-        f"{test['name']}: {test['reduction_rmse']:.0%} of the error could be removed, on line it would be "
-        f"{online['reduction_rmse']:.0%}, because the output would follow for {online['following']:.0%} of the time "
-        f"at a mean confidence of {online['mean_confidence']:.2f} (below {FULL_WEIGHT:g} an estimate counts less, "
+        f"{test['name']}: {estimated}, on line it would be {round(online['reduction_rmse'], 2) + 0.0:.0%}, because the "
+        f"output would follow for {online['following']:.0%} of the time at a mean confidence of "
+        f"{online['mean_confidence']:.2f} (below {FULL_WEIGHT:g} an estimate counts less, "
         f"below {NO_WEIGHT:g} not at all); {cause}"
     )
 
