@@ -84,6 +84,12 @@ def test_rows_that_are_not_trained_on_have_no_say() -> None:
     assert "far" in left_out_sensors(recordings, 60.0, ~first)
 
 
+def test_a_run_that_reads_the_wrong_way_round_has_no_say() -> None:
+    recordings = with_holes(runs(), "far", HOLES_MIN, 15)
+    recordings[2] = replace(recordings[2], displacements_um=-recordings[2].displacements_um)
+    assert "far" in left_out_sensors(recordings, 60.0)
+
+
 def test_what_is_missing_together_is_not_all_left_out() -> None:
     recordings = runs()
     for name in recordings[0].temperature_names:

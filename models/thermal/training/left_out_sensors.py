@@ -13,6 +13,7 @@ from models.thermal.features import BoolArray
 from models.thermal.training.folds import inner_folds
 from models.thermal.training.inputs import Inputs, build_inputs, unusable_sensors, with_sensors
 from models.thermal.training.left_out_errors import relative_of
+from models.thermal.training.reversed_runs import reversed_runs
 from models.thermal.training.ridge_member import LEVELS, RidgeMember
 
 SHARES = (0.1, 0.05, 0.02)
@@ -78,8 +79,12 @@ def _candidates(missing: Mapping[str, BoolArray]) -> list[tuple[str, ...]]:
 
 
 def _remaining(inputs: Inputs, wanted: BoolArray) -> float:
-    """Return what a ridge leaves of left-out folds, over the error without it; 1 where that cannot be told."""
+    """Return what a ridge leaves of left-out folds, over the error without it; 1 where that cannot be told.
+
+    A run that reads the wrong way round has no say: with it hardly anything less than everything is left.
+    """
     rows = wanted & inputs.trainable()
+    rows &= ~np.isin(inputs.run, list(reversed_runs(inputs, rows)))
     fold, _ = inner_folds(inputs, rows)
     try:
         errors = RidgeMember("ridge", inputs, rows, fold, None, LEVELS).errors
