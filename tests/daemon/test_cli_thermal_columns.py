@@ -93,6 +93,12 @@ def test_columns_that_differ_are_named_and_the_common_ones_offered(tmp_path: Pat
         assert refused.exit_code == 2
         assert f"tag2.csv lacks {NAMES[2]}. Record all" in refused.stderr
         assert f'temperatures: ["{NAMES[0]}", "{NAMES[1]}", "{NAMES[3]}"]' in refused.stderr
+    renamed = runs(tmp_path)
+    text = renamed[2].read_text(encoding="utf-8").replace(NAMES[2], "Raum neu")
+    renamed[2].write_text(text, encoding="utf-8")
+    refused = thermal("train", *renamed, "--map", good, "-o", tmp_path / "model.json")
+    assert f"tag2.csv lacks {NAMES[2]} and alone has Raum neu (the same under another name?)" in refused.stderr
+    files = runs(tmp_path, without=NAMES[2])
     result = thermal(
         "train", *files, "--map", good, "--model", "ridge", "--common-columns", "-o", tmp_path / "model.json"
     )

@@ -50,7 +50,7 @@ def _in_order(recording: Recording, before: Sequence[Recording]) -> Recording:
 
 def common_map(paths: Sequence[Path], recording_map: RecordingMap | None) -> RecordingMap:
     """Return the map of those columns that all recordings have; raises DatasetError where there are none of a kind."""
-    one, found = _columns(paths, recording_map)
+    one, found, headers = _columns(paths, recording_map)
     keys = one.model_dump(exclude_unset=True, exclude_none=True)
     for kind in KINDS:
         if kind not in keys:
@@ -61,7 +61,7 @@ def common_map(paths: Sequence[Path], recording_map: RecordingMap | None) -> Rec
             continue
         if not names:
             raise DatasetError(
-                f"{kind}: there is no column that all {len(paths)} recordings have; {_differing(paths, found)}"
+                f"{kind}: there is no column that all {len(paths)} recordings have; {_differing(paths, found, headers)}"
             )
         keys[kind] = names
     keys |= units_and_names(one, [*keys["temperatures"], *keys["displacements"]])
@@ -71,7 +71,7 @@ def common_map(paths: Sequence[Path], recording_map: RecordingMap | None) -> Rec
 
 
 def columns_left_out(paths: Sequence[Path], recording_map: RecordingMap | None) -> list[str]:
-    _, found = _columns(paths, recording_map)
+    _, found, _ = _columns(paths, recording_map)
     every = dict.fromkeys(name for columns in found for names in columns.values() for name in names)
     return [name for name in every if not all(name in chain(*columns.values()) for columns in found)]
 
@@ -80,7 +80,7 @@ def _require_alike(paths: Sequence[Path], recording_map: RecordingMap | None) ->
     if len(paths) < 2:
         return
     try:
-        one, found = _columns(paths, recording_map)
+        one, found, headers = _columns(paths, recording_map)
     except ColumnError:
         return  # the reader says which column of which file
     if all(
@@ -93,34 +93,36 @@ def _require_alike(paths: Sequence[Path], recording_map: RecordingMap | None) ->
     ]
     without = "; take `speed` out of the map" if one.speed and not all(c["speed"] for c in found) else ""
     raise DatasetError(
-        f"the recordings have different columns: {_differing(paths, found)}. Record all of them alike, or use what all "
+        f"the recordings have different columns: {_differing(paths, found, headers)}. Record all of them alike, or use what all "
         f"of them have: give --common-columns, or put this into the map{without}:\n  " + "\n  ".join(offered)
     )
 
 
 def _columns(
     paths: Sequence[Path], recording_map: RecordingMap | None
-) -> tuple[RecordingMap, list[dict[str, list[str]]]]:
-    """Return the map, and the names of the columns of each kind in each recording."""
+) -> tuple[RecordingMap, list[dict[str, list[str]]], list[list[str]]]:
+    """Return the map, and of each recording the names of the columns of each kind, and of all columns."""
     headers = [
         read_beginning(path, 0, "utf-8" if recording_map is None else recording_map.encoding)[0] for path in paths
     ]
     one = usual_map(headers[0]) if recording_map is None else recording_map
-    return one, [matching_names(one, header) for header in headers]
+    return one, [matching_names(one, header) for header in headers], headers
 
 
 def _shared(lists: Sequence[Sequence[str]]) -> list[str]:
     return [name for name in lists[0] if all(name in names for names in lists)]
 
 
-def _differing(paths: Sequence[Path], found: Sequence[dict[str, list[str]]]) -> str:
+def _differing(paths: Sequence[Path], found: Sequence[dict[str, list[str]]], headers: Sequence[Sequence[str]]) -> str:
     every = {name for columns in found for names in columns.values() for name in names}
     sentences = []
-    for path, columns in zip(paths, found, strict=True):
+    for path, columns, header in zip(paths, found, headers, strict=True):
         held = {name for names in columns.values() for name in names}
         if lacking := sorted(every - held):
             rest = f" and {len(lacking) - MOST_NAMED} more" if len(lacking) > MOST_NAMED else ""
-            sentences.append(f"{path.name} lacks {', '.join(lacking[:MOST_NAMED])}{rest}")
+            own = [name for name in header if name and sum(name in other for other in headers) == 1]
+            called = f" and alone has {', '.join(own[:MOST_NAMED])} (the same under another name?)" if own else ""
+            sentences.append(f"{path.name} lacks {', '.join(lacking[:MOST_NAMED])}{rest}{called}")
     return "; ".join(sentences)
 
 
