@@ -93,8 +93,8 @@ def _require_alike(paths: Sequence[Path], recording_map: RecordingMap | None) ->
     ]
     without = "; take `speed` out of the map" if one.speed and not all(c["speed"] for c in found) else ""
     raise DatasetError(
-        f"the recordings have different columns: {_differing(paths, found, headers)}. Record all of them alike, or use what all "
-        f"of them have: give --common-columns, or put this into the map{without}:\n  " + "\n  ".join(offered)
+        f"the recordings have different columns: {_differing(paths, found, headers)}. Record all of them alike, or use "
+        f"what all of them have: give --common-columns, or put this into the map{without}:\n  " + "\n  ".join(offered)
     )
 
 
