@@ -14,18 +14,19 @@ import sys
 import tempfile
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
+if __name__ == "__main__":  # the processes of the fleet load this file as well, and need none of this
+    sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 
-from fleet_kills import Killer, broker_kill, database_kill, dsn_of, plant_broker
-from postgresql import PASSWORD, Server, postgresql
+    from fleet_kills import Killer, broker_kill, database_kill, dsn_of, plant_broker
+    from postgresql import PASSWORD, Server, postgresql
 
-from daemon.simulation.fleet.run import plan_of, processor_s, route_of, simulate_fleet
+    from daemon.simulation.fleet.run import plan_of, processor_s, route_of, simulate_fleet
 
 SETTINGS = ("max_connections=1100", "fsync=on", "recovery_init_sync_method=syncfs")
 """A sink of each machine has a connection; the tests' server does not wait for its disk, this one does."""
 
 
-def sizes(server: Server, machines: int, minutes: float) -> dict[str, float]:
+def sizes(server: "Server", machines: int, minutes: float) -> dict[str, float]:
     """What the rows take in the database, indexes with them."""
     with server.connection() as connection:
         connection.execute("VACUUM (ANALYZE)")
@@ -39,7 +40,7 @@ def sizes(server: Server, machines: int, minutes: float) -> dict[str, float]:
     }
 
 
-def database_cpu_s(server: Server) -> float:
+def database_cpu_s(server: "Server") -> float:
     """Processor time of the server's processes that live; what those used that have ended is missing."""
     return sum(processor_s(pid) or 0.0 for (pid,) in server.ask("SELECT pid FROM pg_stat_activity"))
 

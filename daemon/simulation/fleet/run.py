@@ -330,13 +330,14 @@ def simulate_fleet(
     recording.start()
     there.close()
     _received(here, recording)
+    base = fleet_configuration()
     bodies: dict[str, Body] = {
-        f"senders {turn + 1}": (run_senders, (machines[turn::SENDERS], route.sink))
+        f"senders {turn + 1}": (run_senders, (base, machines[turn::SENDERS], route.sink))
         for turn in range(min(SENDERS, plan.machines))
     }
     if route.store is not None:
         bodies = {"store": (run_store, (route.store,)), **bodies}  # before it subscribes nothing is taken
-    lines = tuple(MachineLayout.from_configuration(fleet_configuration()).lines)
+    lines = tuple(MachineLayout.from_configuration(base).lines)
     with ArrivalWatch(route.dsn, plan.names, lines) as arrivals, Keeper(bodies) as keeper:
         _all_taken(plan, keeper)  # every sender is at work, and the tables are there
         here.send(None)

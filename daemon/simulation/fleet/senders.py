@@ -10,7 +10,6 @@ from config.schema.plant_store import PlantStoreConfig
 from config.schema.service import HistoryConfig
 from config.schema.sinks import SinkConfig
 from daemon.ending import set_by_signals
-from daemon.simulation.fleet.machines import fleet_configuration
 from daemon.sinks.plant_store import PlantStore
 from daemon.sinks.running import run_sinks
 from daemon.telemetry.logs import configure_logging
@@ -25,12 +24,14 @@ def with_sink(base: Configuration, machine: Machine, sink: SinkConfig) -> Config
     return base.model_copy(update={"machine": name, "history": HistoryConfig(path=store), "sinks": (sink,)})
 
 
-def run_senders(machines: Sequence[Machine], sink: SinkConfig) -> None:
-    """Send the histories of some machines until told to stop; body of a process of its own."""
+def run_senders(base: Configuration, machines: Sequence[Machine], sink: SinkConfig) -> None:
+    """Send the histories of some machines until told to stop; body of a process of its own.
+
+    `base`, the configuration that the machines share, is given: a sender that was killed loads nothing of a machine.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     stop = set_by_signals(signal.SIGTERM)
     configure_logging("error")
-    base = fleet_configuration()
     threads = [
         threading.Thread(target=run_sinks, args=(with_sink(base, machine, sink), stop), name=machine[0])
         for machine in machines
