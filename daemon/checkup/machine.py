@@ -15,8 +15,10 @@ from cryptography import x509
 from config.records.commissioning import CommissioningError, commissioning_inhibit, load_commissioning
 from config.schema import Configuration
 from config.schema.service import OpcUaServerConfig
+from config.schema.sinks import SinkConfig
 from config.schema.source_drivers import SourceEntry
 from config.schema.temperatures import LineConfig, TemperatureInput
+from config.secret_files import SecretError, read_secret
 from daemon.checkup.finding import Finding
 from daemon.cnc.commissionable import insecure, unchecked, without_text
 from daemon.cnc.macro_block import MacroBlock
@@ -50,6 +52,12 @@ def served(configuration: Configuration) -> Iterator[Finding]:
         yield _tried("opcua_server", [tags.certificate, tags.private_key], lambda: _tags(tags))
 
 
+def sinks(configuration: Configuration) -> Iterator[Finding]:
+    """Yield whether files and packages that the sinks need are there; no server is asked."""
+    for each in configuration.sinks or ():
+        yield _tried(f"sink {each.name}", [], lambda each=each: _sink(each, configuration.machine))  # type: ignore[misc]
+
+
 def ports(configuration: Configuration) -> Iterator[Finding]:
     """Yield whether the ports that the daemon is to serve are free."""
     service, tags, shdr = configuration.service, configuration.opcua_server, configuration.shdr
@@ -75,12 +83,40 @@ def ports(configuration: Configuration) -> Iterator[Finding]:
 def _tried(subject: str, files: list[Path], look: Callable[[], str]) -> Finding:
     """Return what was found; a credential of the service is looked at by the service alone."""
     for path in files:
-        if path.is_relative_to(CREDENTIALS) and not path.exists():
-            return Finding(subject=subject, passed=True, detail=f"{path} is handed to the service, and not looked at")
+        if said := _handed_over(path):
+            return Finding(subject=subject, passed=True, detail=said)
     try:
         return Finding(subject=subject, passed=True, detail=look())
-    except (RefusedInputError, OSError, ValueError) as error:
+    except (RefusedInputError, SecretError, OSError, ValueError) as error:
         return Finding(subject=subject, passed=False, detail=str(error))
+
+
+def _handed_over(path: Path) -> str:
+    """Return that a file is a credential, which only the service sees; else ''."""
+    hidden = path.is_relative_to(CREDENTIALS) and not path.exists()
+    return f"{path} is handed to the service, and not looked at" if hidden else ""
+
+
+def _sink(sink: SinkConfig, machine: str) -> str:
+    """Return what was found of a sink; raises SecretError, or ValueError that says what is missing."""
+    from daemon.sinks.contract import SinkError  # noqa: PLC0415 (their libraries are loaded where there is one)
+    from daemon.sinks.running import make_messenger, make_sink  # noqa: PLC0415
+    from daemon.sinks.vouching import tls_context  # noqa: PLC0415
+
+    found = [f"{sink.place}, not asked", sink.exposed]
+    for key, path in sink.secrets.items():
+        if said := _handed_over(path):
+            found.append(said)
+        else:
+            read_secret(key, path)
+    tls_context(getattr(getattr(sink, sink.driver), "ca_certificate", None))
+    if sink.parquet is not None and sink.parquet.folder.startswith("/") and not Path(sink.parquet.folder).is_dir():
+        raise ValueError(f"{sink.parquet.folder}: there is no such folder: make it, and let the service write in it")
+    try:
+        _ = make_sink(sink, machine) if sink.alarms is None else make_messenger(sink)
+    except SinkError as error:
+        raise ValueError(str(error).removeprefix(f"sink {sink.name}: ")) from error
+    return "; ".join(filter(None, found))
 
 
 def _monitor(certificate: Path, key: Path) -> str:
@@ -95,7 +131,9 @@ def _monitor(certificate: Path, key: Path) -> str:
             f"{key} is not the private key of {certificate}: give the two that were made together"
         ) from error
     except OSError as error:
-        raise ValueError(f"{key}: the private key of {certificate} cannot be read ({error.strerror})") from error
+        raise ValueError(
+            f"{key}: the private key of {certificate} cannot be read ({error.strerror or error})"
+        ) from error
     return _valid(certificate, found)
 
 
@@ -123,6 +161,8 @@ async def preflight(configuration: Configuration, clock: Clock, *, devices: bool
     yield _record(configuration)
     yield _history(configuration.history.path)
     for finding in served(configuration):
+        yield finding
+    for finding in sinks(configuration):
         yield finding
     if configuration.spindle_speed is not None:
         yield _spindle_speed(configuration)

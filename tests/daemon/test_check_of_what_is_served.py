@@ -7,6 +7,7 @@ import pytest
 import yaml
 from certificates import make_certificate
 from click.testing import CliRunner
+from cryptography.hazmat.primitives import serialization
 from model_folder import open_folder
 from other_user import OTHER, as_root, as_user
 
@@ -116,6 +117,56 @@ def test_a_certificate_that_has_expired_or_has_another_key_is_named(folder: Path
     (folder / "monitor.key").unlink()
     status, output = check(folder)
     assert status == 1 and "monitor.crt cannot be read (No such file or directory)" in output
+
+
+def test_a_key_with_a_passphrase_is_told_from_the_key_of_another_certificate(folder: Path) -> None:
+    key = serialization.load_pem_private_key((folder / "monitor.key").read_bytes(), None)
+    closed = serialization.BestAvailableEncryption(b"a passphrase")
+    for form in (serialization.PrivateFormat.PKCS8, serialization.PrivateFormat.TraditionalOpenSSL):
+        (folder / "monitor.key").write_bytes(key.private_bytes(serialization.Encoding.PEM, form, closed))
+        status, output = check(folder)
+        assert status == 1 and f"{folder}/monitor.key has a passphrase, which nobody is there to type" in output
+
+
+def with_sinks(folder: Path, *sinks: dict[str, Any]) -> tuple[int, str]:
+    content = yaml.safe_load(sample_configuration()) | {"sinks": list(sinks)}
+    path = folder / "machine.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    ended = CliRunner().invoke(main, ["check", "--no-devices", "--config", str(path)])
+    return ended.exit_code, " ".join(ended.output.split())
+
+
+@pytest.mark.parametrize(
+    ("section", "sentence"),
+    [
+        ({"driver": "mqtt", "mqtt": {"host": "b", "user_name": "u", "password_file": "missing"}}, "`password_file`"),
+        ({"driver": "postgresql", "postgresql": {"host": "db", "ca_certificate": "missing"}}, "`ca_certificate`"),
+        ({"driver": "postgresql", "postgresql": {"host": "db", "ca_certificate": "monitor.key"}}, "in PEM"),
+        ({"driver": "webhook", "webhook": {"url_file": "trusted"}}, "`url_file`"),
+        ({"driver": "parquet", "parquet": {"folder": "/missing/folder"}}, "/missing/folder: there is no such folder"),
+    ],
+)
+def test_what_a_sink_needs_and_does_not_find_is_named_before_it_runs(
+    folder: Path, section: dict[str, Any], sentence: str
+) -> None:
+    status, output = with_sinks(folder, {"name": "plant"} | section)
+    assert status == 1 and "FAIL sink plant:" in output and sentence in output, output
+
+
+def test_a_sink_whose_files_are_there_is_found_good_and_its_server_is_not_asked(folder: Path) -> None:
+    secret = {"user_name": "u", "password_file": "/run/credentials/toolpoint-sink.service/mqtt-password"}
+    status, output = with_sinks(
+        folder,
+        {
+            "name": "hall",
+            "driver": "mqtt",
+            "mqtt": {"host": "broker.invalid", "ca_certificate": "monitor.crt"} | secret,
+        },
+        {"name": "plant", "driver": "postgresql", "postgresql": {"host": "192.0.2.1", "tls": False}},
+    )
+    assert status == 0, output
+    assert "ok sink hall: broker.invalid:8883/toolpoint, not asked" in output and "is handed to the service" in output
+    assert "ok sink plant: 192.0.2.1:5432/toolpoint, not asked; NOT encrypted" in output
 
 
 @pytest.mark.parametrize(

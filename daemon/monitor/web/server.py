@@ -134,8 +134,12 @@ class Certificate:
         """Return what a connection needs, and the names that the certificate is for."""
         context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
-        pem, _ = read_whole(self._certificate), read_closed(self._key)  # OpenSSL waits for the end of a pipe
-        context.load_cert_chain(self._certificate, self._key, password="")  # of an encrypted key nobody is asked
+        pem, key = read_whole(self._certificate), read_closed(self._key)  # OpenSSL waits for the end of a pipe
+        if b"ENCRYPTED" in key:
+            raise ValueError(
+                f"{self._key} has a passphrase, which nobody is there to type: `openssl pkey` takes it off"
+            )
+        context.load_cert_chain(self._certificate, self._key, password="")  # whatever it is, nobody is asked
         return context, names_of_certificate(pem)
 
     def now(self) -> ssl.SSLContext:
