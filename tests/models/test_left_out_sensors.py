@@ -77,6 +77,18 @@ def test_what_was_built_in_later_is_kept() -> None:
     assert left_out_sensors(later, 60.0) == {}
 
 
+def test_what_falls_silent_together_with_what_is_often_missing_goes_with_it() -> None:
+    """A line that falls silent again and again has other sensors too; alone such a silence means nothing."""
+    recordings = runs()
+    for number, one in enumerate(recordings):
+        wall = one.temperatures_degc[:, 1:2] + np.random.default_rng(number).normal(0.0, 0.02, (MINUTES, 1))
+        degc, names = np.hstack([one.temperatures_degc, wall]), (*one.temperature_names, "wall")
+        recordings[number] = replace(one, temperature_names=names, temperatures_degc=degc)
+    recordings[1:2] = with_holes(recordings[1:2], "wall", HOLES_MIN, 45)
+    assert left_out_sensors(recordings, 60.0) == {}
+    assert set(left_out_sensors(with_holes(recordings, "far", HOLES_MIN, 45), 60.0)) == {"far", "wall"}
+
+
 def test_rows_that_are_not_trained_on_have_no_say() -> None:
     recordings = runs()[:4] + with_holes(runs()[4:], "far", HOLES_MIN, 45)
     first = np.arange(5 * MINUTES) < 4 * MINUTES

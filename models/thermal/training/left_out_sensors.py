@@ -45,7 +45,7 @@ def left_out_sensors(
         said = [f"{name}: {why}" for name, why in found.items()]
         more = [f"and {len(said) - NAMED} more"] if len(said) > NAMED else []
         raise DatasetError(f"no temperature can be used: {'; '.join([*said[:NAMED], *more])}")
-    missing = {name: _missing(inputs, wanted, name) for name in temperatures}
+    missing = {name: rows for name, rows in _missing(inputs, wanted).items() if name in temperatures}
     best: tuple[str, ...] = ()
     least = np.inf
     for without in _candidates(missing):
@@ -63,12 +63,24 @@ def left_out_sensors(
     }
 
 
-def _missing(inputs: Inputs, wanted: BoolArray, name: str) -> BoolArray:
-    """Return in which of the wanted rows a temperature was missing, if it fell silent repeatedly, and lately too."""
-    rows = inputs.long_missing[wanted, inputs.sensor_names.index(name)]
-    fell_silent = np.flatnonzero(rows[1:] & ~rows[:-1] & (np.diff(inputs.run[wanted]) == 0))
-    often = len(fell_silent) >= FEWEST_TIMES and fell_silent[-1] >= len(rows) // 2
-    return rows if often else np.zeros_like(rows)
+def _missing(inputs: Inputs, wanted: BoolArray) -> dict[str, BoolArray]:
+    """Return in which of the wanted rows each temperature was missing, if it fell silent repeatedly, and lately too.
+
+    One that fell silent more seldom counts as well where that was mostly together with those: they share a line.
+    """
+    found = dict(zip(inputs.sensor_names, inputs.long_missing[wanted].T, strict=True))
+    same_run = np.diff(inputs.run[wanted]) == 0
+    often = {}
+    for name, rows in found.items():
+        fell_silent = np.flatnonzero(rows[1:] & ~rows[:-1] & same_run)
+        often[name] = len(fell_silent) >= FEWEST_TIMES and fell_silent[-1] >= len(rows) // 2
+    of_often = np.zeros(int(wanted.sum()), dtype=np.bool_)
+    for name, rows in found.items():
+        of_often |= rows & often[name]
+    return {
+        name: rows if often[name] or 2 * (rows & of_often).sum() > rows.sum() else np.zeros_like(rows)
+        for name, rows in found.items()
+    }
 
 
 def _candidates(missing: Mapping[str, BoolArray]) -> list[tuple[str, ...]]:
