@@ -71,7 +71,7 @@ class Archive:
         try:
             self._file = open(path, "rb", opener=without_waiting)  # noqa: SIM115 (closed with the archive)
         except OSError as error:
-            raise self._refused(f"this is no whole back-up ({error}); take another one") from error
+            raise self._refused(f"cannot be read ({error.strerror})") from error
         try:
             self._members = {member.name: member for member in self._read_members()}
             self.manifest = self._read_manifest()

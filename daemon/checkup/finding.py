@@ -2,6 +2,10 @@
 
 from dataclasses import dataclass
 
+import click
+
+from models.json_values import printable
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
@@ -21,3 +25,9 @@ class Finding:
     def as_json(self) -> dict[str, str | bool]:
         """Return what stands in the JSON output."""
         return {"subject": self.subject, "passed": self.passed, "pending": self.pending, "detail": self.detail}
+
+
+def show_finding(finding: Finding) -> None:
+    """Print one line of what was tried."""
+    mark, colour = ("ok", "green") if finding.passed else ("not yet", "yellow") if finding.pending else ("FAIL", "red")
+    click.echo(f"{click.style(f'{mark:7}', fg=colour)}  {finding.subject}: {printable(finding.detail)}")

@@ -255,7 +255,7 @@ class LazyGroup(click.Group):
                     raise
                 click.echo(f"{error.filename}: {error.strerror}", err=True)  # this account may not use what was named
                 sys.exit(1)
-            click.echo(f"{error.filename or 'what was printed'} ends in the middle: {error.strerror}", err=True)
+            click.echo(f"{error.filename or 'what was written'} ends in the middle: {error.strerror}", err=True)
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what waits to be written is lost anyway
             sys.exit(1)
 

@@ -4,17 +4,13 @@ import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import click
 
 from config.loader import load_with_warnings
 from config.schema import Configuration
 from config.schema.base import Problem
-from models.json_values import printable
-
-if TYPE_CHECKING:
-    from daemon.checkup.finding import Finding
 
 DEFAULT_CONFIGURATION = Path("/etc/toolpoint/toolpoint.yaml")
 """Where an installed daemon keeps its configuration."""
@@ -72,12 +68,6 @@ def read_with_warnings(path: Path) -> tuple[Configuration, tuple[Problem, ...]]:
     return load_with_warnings(path)
 
 
-def show_finding(finding: "Finding") -> None:
-    """Print one line of what was tried."""
-    mark, colour = ("ok", "green") if finding.passed else ("not yet", "yellow") if finding.pending else ("FAIL", "red")
-    click.echo(f"{click.style(f'{mark:7}', fg=colour)}  {finding.subject}: {printable(finding.detail)}")
-
-
 def write_json(destination: str | None, content: Any) -> None:
     """Write JSON to a file or to standard output; nothing without a destination."""
     if destination is None:
@@ -86,7 +76,11 @@ def write_json(destination: str | None, content: Any) -> None:
     if destination == "-":
         click.echo(text)
     else:
-        Path(destination).write_text(text + "\n", encoding="utf-8")
+        try:
+            Path(destination).write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            error.filename = destination  # a full disk names none
+            raise
 
 
 def show_warnings(found: dict[str, Any]) -> None:

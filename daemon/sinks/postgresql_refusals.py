@@ -9,7 +9,10 @@ HINTS = {
     "password authentication failed": "check `user_name` and `password_file`",
     "no password supplied": "the server asks for a password: give `password_file`",
     "pg_hba.conf": "let this computer in on the server (pg_hba.conf), and check `tls` and `user_name`",
-    "certificate verify failed": "its certificate has expired, or is none that `ca_certificate` vouches for",
+    "certificate verify failed": (
+        "its certificate is not valid now by this computer's clock, or is none that `ca_certificate` vouches for"
+    ),
+    "root certificate": "name a certificate in PEM by `ca_certificate`",
     "server certificate for": "`host` must be a name in its certificate",
     "does not support ssl": "the server has no TLS: switch it on there, or set `tls: false`",
     "resolve host": "no address is known for `host`: check `host`",
@@ -31,7 +34,9 @@ HINTS = {
     "database system": "the server is starting, stopping or recovering; it is tried again",
     "not write": "its disk may be full: free space on the server",
     "space left": "its disk may be full: free space on the server",
-    "read-only transaction": "the server takes no writes: check that `host` is the primary one, not a standby",
+    "read-only transaction": (
+        "the server takes no writes: check that `host` is the primary one, and default_transaction_read_only"
+    ),
     "role ": "the server does not know the role: check `user_name`",
     "database ": "the server has no such database: check `database`",
 }

@@ -2,9 +2,13 @@
 
 import json
 import re
+import resource
+import subprocess
+import sys
 from pathlib import Path
 
 import jsonschema
+import pytest
 import yaml
 from click.testing import CliRunner
 from configuration_keys import walk
@@ -113,3 +117,20 @@ def test_an_existing_file_is_never_overwritten(tmp_path: Path) -> None:
     assert again.exit_code == 2
     assert "exists already" in again.output
     assert target.read_text() == "mine"
+
+
+@pytest.mark.parametrize("command", ["sample-config", "guard"])
+def test_a_file_that_the_disk_has_no_room_for_is_not_left_half(tmp_path: Path, command: str) -> None:
+    """Half a guard program could be loaded into a control."""
+    path, target = tmp_path / "toolpoint.yaml", tmp_path / "new"
+    path.write_text(sample_configuration(), encoding="utf-8")
+    words = [command, "--output", str(target), *(["--config", str(path)] if command == "guard" else [])]
+    ended = subprocess.run(
+        [sys.executable, "-m", "daemon.cli", *words],
+        check=False,
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1024, 1024)),
+    )
+    assert ended.returncode == 2 and ended.stderr == f"{target} cannot be written: File too large\n"
+    assert not target.exists()

@@ -651,7 +651,9 @@ def test_tls_takes_a_server_that_is_vouched_for_and_no_other(
     make_certificate(other, (-30, -1))
     server.secure(other / "monitor.crt", other / "monitor.key")
     expired = send(server, tmp_path, store, **known | {"ca_certificate": other / "monitor.crt"})
-    assert "has expired" in expired.problem
+    assert "is not valid now by this computer's clock" in expired.problem
+    key = send(server, tmp_path, store, **known | {"ca_certificate": tmp_path / "monitor.key"})
+    assert "name a certificate in PEM by `ca_certificate`" in key.problem
     server.secure(tmp_path / "monitor.crt", tmp_path / "monitor.key")
     elsewhere = send(server, tmp_path, store, **known | {"host": "127.0.0.1"})
     assert "`host` must be a name in its certificate" in elsewhere.problem

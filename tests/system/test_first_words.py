@@ -125,7 +125,24 @@ def test_a_full_disk_behind_the_output_is_told_in_a_sentence() -> None:
     with Path("/dev/full").open("wb") as full:
         ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert ended.returncode == 1
-    assert ended.stderr == "what was printed ends in the middle: No space left on device\n"
+    assert ended.stderr == "what was written ends in the middle: No space left on device\n"
+    ended = subprocess.run(
+        [*command[:-1], "doctor", "--json", "/dev/full"], capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 1 and ended.stderr == "/dev/full ends in the middle: No space left on device\n"
+
+
+def test_the_live_view_needs_a_terminal_and_says_what_does_not(tmp_path: Path) -> None:
+    """It would stay silent in a pipe for ever."""
+    found = toolpoint("monitor", "--socket", tmp_path / "control.sock")
+    assert found.exit_code == 2 and found.output.splitlines() == [
+        "`toolpoint monitor` draws on a terminal, and this is none; `toolpoint status` prints the same once"
+    ]
+
+
+def test_a_back_up_that_is_not_there_is_no_broken_one(tmp_path: Path) -> None:
+    found = toolpoint("restore", tmp_path / "x.tar", "--verify")
+    assert found.exit_code == 1 and found.output == f"{tmp_path}/x.tar: cannot be read (No such file or directory)\n"
 
 
 def test_streams_that_are_closed_are_open_to_nothing(tmp_path: Path) -> None:

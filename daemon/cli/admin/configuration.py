@@ -51,7 +51,12 @@ def deliver(text: str, output: Path | None) -> None:
         return
     try:
         with output.open("x", encoding="utf-8") as file:
-            file.write(text)
+            try:
+                file.write(text)
+                file.flush()
+            except OSError:
+                output.unlink()  # half a program must not reach a control
+                raise
     except FileExistsError:
         refuse(f"{output} exists already and is left as it is; name a new file")
     except OSError as error:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from daemon.checkup.finding import Finding
+from daemon.checkup.finding import Finding, show_finding
 from daemon.checkup.machine import preflight
 from daemon.cli.common import (
     DEFAULT_CONFIGURATION,
@@ -14,7 +14,6 @@ from daemon.cli.common import (
     option,
     read_with_warnings,
     say,
-    show_finding,
     write_json,
 )
 from daemon.cli.options import json_option

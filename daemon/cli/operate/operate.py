@@ -67,11 +67,18 @@ def monitor(config_path: Path, socket_path: Path | None) -> None:
     """Watch the daemon live in the terminal, until Ctrl-C."""
     import time
 
+    from rich.console import Console
     from rich.live import Live
 
     from daemon.monitor.view import status_view
 
-    with daemon_at(config_path, socket_path) as client, Live(status_view(client.ask("status")), screen=True) as live:
+    console = Console()
+    if not console.is_terminal or console.is_dumb_terminal:
+        refuse("`toolpoint monitor` draws on a terminal, and this is none; `toolpoint status` prints the same once")
+    with (
+        daemon_at(config_path, socket_path) as client,
+        Live(status_view(client.ask("status")), console=console, screen=True) as live,
+    ):
         try:
             while True:
                 time.sleep(0.5)
