@@ -226,8 +226,24 @@ def test_what_would_not_be_had_on_line_and_a_channel_that_is_made_worse_are_said
     gaps = faster | {"online": online | {"following": 0.6, "imputed_unsure": 0.3}}
     (sentence,) = on_line_sentences([gaps], {"test": ["t1 by 9 K (training: 8)"]})
     assert "for 30% of the time" in sentence and "fields are empty" in sentence and "beyond training" not in sentence
+    unread = faster | {"online": online | {"following": 0.3, "speed_unread": 0.6}}
+    (sentence,) = on_line_sentences([unread], {"test": ["t1 by 9 K (training: 8)"]})
+    assert "for 60% of the time what the spindle did between rows that lie far apart" in sentence
+    assert "record a row a minute" in sentence and "beyond training" not in sentence
     out = on_line_sentences([faster | {"excluded": [{"sensor": "t3"}]}] * 5, {})
     assert "sensors were excluded (t3)" in out[0] and out[-1] == "so it is in 2 more tests"
+
+
+def test_a_logger_that_leaves_rows_out_is_why_less_would_be_had_on_line(tmp_path: Path) -> None:
+    """A row when something changes: what the spindle did in seven minutes without one, no lag of its speed knows."""
+    columns = table()
+    minute = columns["t"] // 60.0
+    columns["c1"] += 80.0 * lag_table(minute, np.square(columns["rpm"] / 5000.0)[:, None], (60.0,))[0, :, 0]
+    kept = (columns["t"] < 4 * 3600.0) | (minute % 8 == 0)
+    thin = {name: values[kept] for name, values in columns.items()}
+    found = figures(write(tmp_path / "day.csv", thin), *SPLIT, "--model", "lags")
+    assert found["tests"][0]["online"]["speed_unread"] > 0.3
+    assert "what the spindle did between rows that lie far apart" in "\n".join(found["advice"])
 
 
 def test_a_sensor_that_nothing_stands_in_for_is_why_less_would_be_had_on_line(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ def followed(confidence: float | np.ndarray, in_domain: bool | np.ndarray = True
         confidence=np.broadcast_to(confidence, 60).astype(float),
         in_domain=np.broadcast_to(in_domain, 60).astype(bool),
         unsure=np.zeros(60, dtype=bool),
+        speed_unread=np.zeros(60, dtype=bool),
     )
 
 

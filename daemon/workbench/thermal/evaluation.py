@@ -39,8 +39,8 @@ from models.thermal.training.online import (
     compensated_um,
     follow,
     following_share,
+    held_shares,
     position_share,
-    unsure_share,
 )
 from models.thermal.training.prepared import prepare
 from models.thermal.training.recipes import RECIPES
@@ -362,9 +362,9 @@ def _test_figures(inputs: Inputs, outcome: _Outcome, counted: Sequence[str]) -> 
 
 
 def _following(parts: Sequence[Followed]) -> dict[str, float]:
-    known, unsure = position_share(parts), unsure_share(parts)
+    known = position_share(parts)
     found = {"following": following_share(parts)} | ({} if known is None else {"position_known": known})
-    return found | ({"imputed_unsure": unsure} if unsure > 0.0 else {})
+    return found | held_shares(parts)
 
 
 def _channel_figures(channels: Sequence[str], outcomes: Sequence[_Outcome]) -> dict[str, dict[str, Any]]:

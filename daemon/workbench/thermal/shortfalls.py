@@ -100,6 +100,11 @@ def _on_line_sentence(test: Mapping[str, Any], beyond: Sequence[str]) -> str:
             f"{UNSURE_UM:g} um, above which the output holds, and after {HOLD_MIN:g} min goes back to zero: see in the "
             "recording why their fields are empty"
         )
+    elif (unread := online.get("speed_unread", 0.0)) > UNSURE_SHARE * (1.0 - online["following"]):
+        cause = (
+            f"for {unread:.0%} of the time what the spindle did between rows that lie far apart may make more than "
+            f"{UNSURE_UM:g} um: record a row a minute at least; a machine reads its speed all the time"
+        )
     elif beyond:
         cause = (
             f"it goes beyond training ({', '.join(beyond)}): record 2 runs or cycles that go as far, and train on them"

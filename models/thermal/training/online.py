@@ -37,6 +37,8 @@ class Followed:
     """Whether it may be followed at all, shape (n,)."""
     unsure: BoolArray
     """Whether what is imputed for excluded sensors may be off by more than the output follows, shape (n,)."""
+    speed_unread: BoolArray
+    """Whether lags of a speed that was not known between rows may have missed more than the output follows, (n,)."""
     position_known: BoolArray | None = None
     """Whether every axis position that the model needs is known, shape (n,); None where it needs none."""
 
@@ -66,7 +68,7 @@ def follow(model: ThermalModel, inputs: Inputs, rows: IntArray) -> Followed:
     absent = np.zeros(len(ids), dtype=np.bool_)
     shape = (len(rows), len(model.channels))
     estimate_um, band_um = np.full(shape, np.nan), np.tile(model.band_um, (len(rows), 1))
-    confidence, in_domain, unsure = np.zeros(len(rows)), *np.zeros((2, len(rows)), dtype=np.bool_)
+    confidence, in_domain, unsure, unread = np.zeros(len(rows)), *np.zeros((3, len(rows)), dtype=np.bool_)
     axes = len(ids) - len(model.axis_positions)
     trust, position_known = _positions(model, degc[rows, axes:], time_min[rows], inputs.period_min)
     for place, row in enumerate(rows):
@@ -81,8 +83,8 @@ def follow(model: ThermalModel, inputs: Inputs, rows: IntArray) -> Followed:
         absent[:axes], position_known[place] = imputed[:axes], position_known[place] and not imputed[axes:].any()
         estimate_um[place] = found.thermal_error_um
         unsure[place] = found.imputed_um > UNSURE_UM
-        held = unsure[place] or found.speed_unread_um > UNSURE_UM
-        confidence[place] = 0.0 if held else found.confidence * trust[place]
+        unread[place] = found.speed_unread_um > UNSURE_UM
+        confidence[place] = 0.0 if unsure[place] or unread[place] else found.confidence * trust[place]
         band_um[place], in_domain[place] = model.band_um * found.band_factor, found.in_domain
     return Followed(
         estimate_um=estimate_um,
@@ -90,6 +92,7 @@ def follow(model: ThermalModel, inputs: Inputs, rows: IntArray) -> Followed:
         confidence=np.where(position_known, confidence, 0.0),
         in_domain=in_domain,
         unsure=unsure,
+        speed_unread=unread,
         position_known=position_known if model.axis_positions else None,
     )
 
@@ -151,9 +154,13 @@ def position_share(parts: Sequence[Followed]) -> float | None:
     return float(np.concatenate(known).mean()) if known else None
 
 
-def unsure_share(parts: Sequence[Followed]) -> float:
-    """Return the share of rows in which what is imputed for excluded sensors may be off by too much; 0 without rows."""
-    return float(np.concatenate([part.unsure for part in parts]).mean()) if parts else 0.0
+def held_shares(parts: Sequence[Followed]) -> dict[str, float]:
+    """Return the shares of rows in which the output would hold for what is imputed, and for speed that was not read."""
+    shares = {
+        "imputed_unsure": np.concatenate([part.unsure for part in parts]).mean() if parts else 0.0,
+        "speed_unread": np.concatenate([part.speed_unread for part in parts]).mean() if parts else 0.0,
+    }
+    return {name: float(share) for name, share in shares.items() if share > 0.0}
 
 
 def following_share(parts: Sequence[Followed]) -> float:
