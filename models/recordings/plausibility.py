@@ -12,7 +12,8 @@ HIGHEST_DEGC = 150.0
 FARTHEST_UM = 5000.0
 """No displacement sensor of a nest reaches so far from where it is most of the time."""
 USUAL_SPREAD_UM = 500.0
-"""A channel whose values typically lie farther than this from their median is not in micrometres at all."""
+"""A channel whose values typically lie farther than this from their median is not in micrometres at all; and what lies
+apart from the others by more, with nothing between, such as -999, is none of them: what warms passes through."""
 RISE_START_K = 0.5
 """Where every temperature begins so near to zero, rises since the start were recorded: no workshop is so cold."""
 RISES_FROM_DEGC = 20.0
@@ -44,14 +45,25 @@ def are_rises(degc: FloatArray) -> bool:
 
 
 def impossible_displacements(displacements_um: FloatArray) -> BoolArray:
-    """Return where displacements lie farther from the others than any sensor reaches.
+    """Return where displacements lie farther from the others than any sensor reaches, or apart from them.
 
     Result of shape (n, n_channels): all False for a channel that moves so far as a rule: then its unit is wrong.
 
     `displacements_um`, shape (n, n_channels): displacements [um], NaN where missing.
     """
     far_um = np.abs(displacements_um - column_medians(displacements_um))
-    return _of_few(far_um > FARTHEST_UM, far_um) & (column_medians(far_um) <= USUAL_SPREAD_UM)
+    wrong = _of_few((far_um > FARTHEST_UM) | _apart(displacements_um), far_um)
+    return np.asarray(wrong & (column_medians(far_um) <= USUAL_SPREAD_UM))
+
+
+def _apart(table: FloatArray) -> BoolArray:
+    """Return where values lie apart from those around the median of their column, see `USUAL_SPREAD_UM`."""
+    found = np.zeros(table.shape, dtype=np.bool_)
+    for place, column in enumerate(table.T):
+        known = np.sort(column[np.isfinite(column)])
+        group = np.cumsum(np.diff(known, prepend=known[:1]) > USUAL_SPREAD_UM)
+        found[:, place] = np.isin(column, known[group != group[len(group) // 2]]) if len(known) else False
+    return found
 
 
 def impossible_speeds(speed_rpm: FloatArray) -> BoolArray:

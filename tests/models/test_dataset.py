@@ -60,6 +60,18 @@ def test_missing_values_are_a_warning_that_names_column_and_row() -> None:
     assert "column t2, row 5: 3 values are missing" in sentences(spoilt("temperatures_degc", 1, slice(4, 7), np.nan))
 
 
+def test_displacements_apart_from_all_others_count_as_missing_and_what_passes_through_does_not() -> None:
+    """What a logger writes for no value, such as -999, left nothing of a channel's model, without a word."""
+    good = recording()
+    um = good.displacements_um.copy()
+    um[[3, 9], 0] = -999.0
+    bad = replace(good, displacements_um=um)
+    assert "column c1, row 4: -999 um cannot be (2 such values, the first here)" in sentences(bad)
+    assert np.flatnonzero(np.isnan(bad.without_impossible().displacements_um[:, 0])).tolist() == [3, 9]
+    um = good.displacements_um + np.linspace(0.0, 900.0, good.rows)[:, None]
+    assert replace(good, displacements_um=um).without_impossible().displacements_um is um, "a portal that grows"
+
+
 def test_missing_values_of_many_columns_are_one_sentence_with_their_number() -> None:
     gappy = []
     for number in range(3):
