@@ -53,9 +53,12 @@ def sparkline(values: Sequence[float], *, top: float, width: int = SPARK_WIDTH) 
     return "".join(SPARKS[round(min(abs(value) / (top or 1.0), 1.0) * steps)] for value in shown)
 
 
-def status_view(picture: Mapping[str, Any], beside: Sequence[RenderableType] = (), footer: str = "") -> RenderableType:
-    """Return the whole view of one status picture; `beside` comes under the header."""
+def status_view(
+    picture: Mapping[str, Any], beside: Sequence[RenderableType] = (), footer: str = "", *, live: bool = False
+) -> RenderableType:
+    """Return the view of one status picture, `live` one that fits the terminal; `beside` comes under the header."""
     return _Fitted(
+        live,
         [
             (0, Rule(f"Toolpoint · {picture['machine']}", align="left", style="dim")),
             (0, _header(picture)),
@@ -67,7 +70,7 @@ def status_view(picture: Mapping[str, Any], beside: Sequence[RenderableType] = (
             (2, _labelled("delay", _latency(picture["latency_s"]))),
             (1, _labelled("links", _links(picture))),
             (0, Text(footer, style="dim") if footer else None),
-        ]
+        ],
     )
 
 
@@ -90,14 +93,14 @@ class _Flow:
 class _Fitted:
     """Pieces one under the other, with space between where there is room, and without the least where there is none."""
 
-    def __init__(self, pieces: Sequence[tuple[int, RenderableType | None]]) -> None:
+    def __init__(self, live: bool, pieces: Sequence[tuple[int, RenderableType | None]]) -> None:
         """`pieces`: how soon it is left out (0: never), and what; None is left out always."""
-        self._pieces = [(rank, piece) for rank, piece in pieces if piece is not None]
+        self._live, self._pieces = live, [(rank, piece) for rank, piece in pieces if piece is not None]
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         free = options.update(height=None)
         drawn = [(rank, console.render_lines(piece, free, pad=False)) for rank, piece in self._pieces]
-        height = options.height
+        height = options.size.height if self._live else None  # `Live` hands no height on
         shown = drawn
         worst = max((rank for rank, _ in drawn), default=0)
         while height is not None and sum(len(lines) for _, lines in shown) > height and worst > 0:

@@ -1,9 +1,11 @@
 """The terminal view of a status picture."""
 
 import io
+import re
 
 import pytest
 from rich.console import Console
+from rich.live import Live
 
 from daemon.monitor.view import status_view, truth_panel
 from daemon.telemetry.latency import PUBLISHED_DELAY_S
@@ -162,12 +164,27 @@ TRUTH = {"time_s": 5400.0, "truth": {a: {"uncompensated_um": -31.2, "compensated
 TRAIL = {axis: [(-30.0, 1.0)] * 300 for axis in "xyz"}
 
 
+def drawn(view, width, height):
+    """Return the lines that a terminal shows of the live view, drawn as the commands draw it."""
+    console = Console(file=io.StringIO(), width=width, height=height, force_terminal=True, color_system=None)
+    with Live(view, console=console, screen=True, auto_refresh=False):
+        pass
+    frame = console.file.getvalue().partition("\x1b[?1049l")[0].rpartition("\x1b[H")[2]
+    return re.sub("\x1b\\[[0-9;?]*[A-Za-z]", "", frame).splitlines()
+
+
+def test_where_lines_are_few_the_live_view_keeps_the_link_that_is_down_and_says_that_it_leaves_out():
+    lost = {"name": "cnc", "up": False, "problem": "opc.tcp://192.0.2.1:4840/ does not answer: check the network " * 3}
+    picture = ROOMY | {"links": [*ROOMY["links"], lost]}
+    text = " ".join(" ".join(drawn(status_view(picture, footer="Ctrl-C ends", live=True), 80, 20)).split())
+    assert "○ cnc" in text and text.count("check the network") == 3 and "Ctrl-C ends" in text
+    assert "taller terminal" in text and "24.7 s" not in text
+
+
 @pytest.mark.parametrize(("width", "height"), [(80, 24), (100, 30), (120, 40)])
 def test_the_whole_view_fits_the_terminal_with_nothing_cut_off(width, height):
-    console = Console(file=io.StringIO(), width=width, height=height, force_terminal=False)
-    view = status_view(ROOMY, [truth_panel(TRUTH, TRAIL)], "in a browser: http://127.0.0.1:8080/ · Ctrl-C ends")
-    lines = console.render_lines(view, console.options.update_dimensions(width, height), pad=False)
-    text = ["".join(segment.text for segment in line) for line in lines]
+    footer = "in a browser: http://127.0.0.1:8080/ · Ctrl-C ends"
+    text = drawn(status_view(ROOMY, [truth_panel(TRUTH, TRAIL)], footer, live=True), width, height)
     assert len(text) <= height and max(len(line.rstrip()) for line in text) <= width
     shown = "\n".join(text)
     assert "…" not in shown and "taller terminal" not in shown

@@ -77,12 +77,12 @@ def monitor(config_path: Path, socket_path: Path | None) -> None:
         refuse("`toolpoint monitor` draws on a terminal, and this is none; `toolpoint status` prints the same once")
     with (
         daemon_at(config_path, socket_path) as client,
-        Live(status_view(client.ask("status")), console=console, screen=True) as live,
+        Live(status_view(client.ask("status"), live=True), console=console, screen=True) as live,
     ):
         try:
             while True:
                 time.sleep(0.5)
-                live.update(status_view(client.ask("status")))
+                live.update(status_view(client.ask("status"), live=True))
         except KeyboardInterrupt:
             return
 

@@ -165,7 +165,7 @@ def _show(running: RunningSimulation, until_s: float, trail: Trail) -> dict[str,
             report = trail.take(running.reports)
             beside = [truth_panel(report, trail.axes)] if report and "truth" in report else []
             footer = f"in a browser: {page_address(port)} · Ctrl-C ends{held}"
-            live.update(status_view(status, beside, footer=footer), refresh=True)
+            live.update(status_view(status, beside, footer, live=True), refresh=True)
 
         with contextlib.suppress(KeyboardInterrupt):
             watch(running, until_s, look, LIVE_PERIOD_S)
