@@ -38,6 +38,8 @@ class ControlClient:
         try:
             self._socket.sendall(message)
             line = self._stream.readline()
+        except ConnectionError as error:
+            raise DaemonUnreachableError("the daemon closed the connection") from error
         except OSError as error:
             raise DaemonUnreachableError(f"the daemon did not answer: {error}") from error
         if not line:

@@ -1,7 +1,17 @@
 """The terminal view of a status picture."""
 
 import io
+import json
+import os
+import pty
 import re
+import select
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
 
 import pytest
 from rich.console import Console
@@ -192,3 +202,45 @@ def test_the_whole_view_fits_the_terminal_with_nothing_cut_off(width, height):
         assert words in shown, words
     assert "by another rig" in shown and "Ctrl-C ends" in shown
     assert "requested = what was applied at the reference (z +20.4) - estimated" in shown
+
+
+def answer(listening: socket.socket, reason: str, times: int) -> None:
+    """Be the daemon for so many questions, then end."""
+    picture = ROOMY | {"output": ROOMY["output"] | {"reason": reason}}
+    for connection in iter(lambda: listening.accept()[0], None):
+        with connection, connection.makefile("rb") as questions:
+            for _ in questions:
+                connection.sendall(json.dumps({"ok": True} | picture).encode() + b"\n")
+                times -= 1
+                if not times:
+                    listening.close()
+                    return
+
+
+def test_the_live_view_outlasts_a_restart_of_the_daemon_and_says_that_nothing_answers(tmp_path):
+    path, (person, terminal) = tmp_path / "s", pty.openpty()
+    seen, spoken = "", ["before", "since the restart"]
+    listening = socket.create_server(str(path), family=socket.AF_UNIX)
+    threading.Thread(target=answer, args=(listening, spoken[0], 3), daemon=True).start()
+    command = [sys.executable, "-P", "-m", "daemon.cli", "monitor", "--socket", str(path)]
+    with subprocess.Popen(
+        command, stdin=terminal, stdout=terminal, stderr=terminal, env={**os.environ, "TERM": "xterm"}
+    ) as monitor:
+        try:
+            until_s = time.monotonic() + 60.0
+            while spoken[1] not in seen and monitor.poll() is None and time.monotonic() < until_s:
+                if select.select([person], [], [], 0.1)[0]:
+                    seen += os.read(person, 65536).decode(errors="replace")
+                if "NO ANSWER" in seen and path.exists():
+                    path.unlink()
+                    listening = socket.create_server(str(path), family=socket.AF_UNIX)
+                    threading.Thread(target=answer, args=(listening, spoken[1], 9999), daemon=True).start()
+                    path = tmp_path / "not made twice"
+            assert "NO ANSWER" in seen and spoken[1] in seen, seen[-2000:]
+            assert "the daemon closed the connection" in seen
+            monitor.send_signal(signal.SIGINT)
+            assert monitor.wait(20.0) == 0
+        finally:
+            monitor.kill()
+            os.close(person)
+            os.close(terminal)

@@ -1,7 +1,7 @@
 """Commands to a running daemon: status, monitor, reference, enable, disable, acknowledge."""
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,10 @@ socket_option = option("--socket", "socket_path", type=FILE, help="Socket of the
 speed_option = option(
     "--spindle-speed", is_flag=True, help="Not the compensation: the tuning of the spindle speed, and nothing else."
 )
+
+SILENT_S = 4.0
+"""When the daemon is silent for so long, what it said before is old; the pages take as long."""
+ASKED_AGAIN = "The daemon is asked again until it answers. Ctrl-C ends."
 
 
 @contextmanager
@@ -69,22 +73,29 @@ def monitor(config_path: Path, socket_path: Path | None) -> None:
 
     from rich.console import Console
     from rich.live import Live
+    from rich.text import Text
 
     from daemon.monitor.view import status_view
 
     console = Console()
     if not console.is_terminal or console.is_dumb_terminal:
         refuse("`toolpoint monitor` draws on a terminal, and this is none; `toolpoint status` prints the same once")
-    with (
-        daemon_at(config_path, socket_path) as client,
-        Live(status_view(client.ask("status"), live=True), console=console, screen=True) as live,
-    ):
-        try:
-            while True:
-                time.sleep(0.5)
-                live.update(status_view(client.ask("status"), live=True))
-        except KeyboardInterrupt:
-            return
+    path = socket_path or read_configuration(config_path).service.socket
+    with daemon_at(config_path, path) as client:
+        first = status_view(client.ask("status"), live=True)
+    with suppress(KeyboardInterrupt), Live(first, console=console, screen=True) as live:
+        while True:
+            try:
+                with closing(ControlClient(path, SILENT_S)) as client:
+                    while True:
+                        live.update(status_view(client.ask("status"), live=True))
+                        time.sleep(0.5)
+            except (
+                DaemonUnreachableError,
+                RequestError,
+            ) as error:  # it is started anew, or hangs; what it said before is old
+                live.update(Text.assemble((" NO ANSWER ", "bold white on red3"), f"  {error}\n\n{ASKED_AGAIN}"))
+                time.sleep(1.0)
 
 
 @click.command()
