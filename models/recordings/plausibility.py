@@ -9,6 +9,8 @@ LOWEST_DEGC = -50.0
 """No machine tool is colder."""
 HIGHEST_DEGC = 150.0
 """None is hotter; a median above this is no temperature in degC (kelvin start at 253 here)."""
+SPIKE_K = 15.0
+"""No part goes so far within one row and comes back, within a tenth of it, in the next."""
 FARTHEST_UM = 5000.0
 """No displacement sensor of a nest reaches so far from where it is most of the time."""
 USUAL_SPREAD_UM = 500.0
@@ -32,7 +34,10 @@ def impossible_temperatures(degc: FloatArray) -> BoolArray:
 
     `degc`, shape (n, n_sensors): temperatures [degC], NaN where missing.
     """
-    return _of_few((degc < LOWEST_DEGC) | (degc > HIGHEST_DEGC), degc)
+    wrong = (degc < LOWEST_DEGC) | (degc > HIGHEST_DEGC)
+    away = np.abs(np.diff(degc, axis=0)) > SPIKE_K
+    wrong[1:-1] |= away[:-1] & away[1:] & (np.abs(degc[2:] - degc[:-2]) < 0.1 * SPIKE_K)
+    return _of_few(wrong, degc)
 
 
 def are_rises(degc: FloatArray) -> bool:

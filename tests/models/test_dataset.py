@@ -72,6 +72,18 @@ def test_displacements_apart_from_all_others_count_as_missing_and_what_passes_th
     assert replace(good, displacements_um=um).without_impossible().displacements_um is um, "a portal that grows"
 
 
+def test_a_temperature_that_goes_away_for_one_row_counts_as_missing_and_one_that_stays_away_does_not() -> None:
+    """A logger that wrote zeros for one row in a hundred made the model leave three times as much, without a word."""
+    degc = recording().temperatures_degc.copy()
+    degc[4] = 0.0
+    bad = replace(recording(), temperatures_degc=degc)
+    assert np.isnan(bad.without_impossible().temperatures_degc).sum(axis=1).nonzero()[0].tolist() == [4]
+    assert "row 5: 0 degC cannot be and counts as missing" in sentences(bad)
+    degc = recording().temperatures_degc.copy()
+    degc[10:] += 20.0
+    assert replace(recording(), temperatures_degc=degc).without_impossible().temperatures_degc is degc, "coolant"
+
+
 def test_missing_values_of_many_columns_are_one_sentence_with_their_number() -> None:
     gappy = []
     for number in range(3):
