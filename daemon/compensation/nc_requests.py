@@ -94,7 +94,7 @@ class RequestDesk:
         if pending is None:
             return
         if not pending.refusal:
-            if pending.reference_id is not None and memory.reference_id != pending.reference_id:
+            if pending.reference_id is not None and memory.reference_id != self._awaited(pending.reference_id):
                 return
             if pending.settles and memory.settling:
                 return
@@ -110,6 +110,12 @@ class RequestDesk:
             self._journal.say("refused", f"{pending.request}: {pending.refusal}")
         if receipt.outcome is not WriteOutcome.VERIFIED:
             self._journal.raise_fault(f"{UNANSWERED}: {receipt.detail}")
+
+    def _awaited(self, reference_id: str) -> str:
+        """Return whose coming answers: a later reference where polling saw the positioning only after the request."""
+        asked, current = self._references.memory.requests, self._references.current
+        waits = current is None or any(each.reference_id == reference_id for each in asked)
+        return reference_id if waits or current is None else current.reference_id
 
     def _begin(self, session: CncSession) -> None:
         assert session.sample is not None

@@ -316,6 +316,34 @@ async def test_a_positioning_that_polling_missed_is_noticed_by_the_handshake(rig
     assert any("passed between two polls" in notice for notice in rig.control.journal.notices)
 
 
+async def test_a_request_is_answered_too_where_polling_sees_its_positioning_only_after_it(rig, bench):
+    """A control that tells its values one after the other shows the request a poll before the block that asks."""
+    await rig.active()
+    ask(bench, 1, REFERENCE)
+    await rig.turn()
+    by_request = last_asked(rig).reference_id
+    bench.nc.sequence_number = 100
+    await rig.turn()
+    by_block = last_asked(rig).reference_id
+    assert by_block != by_request
+    rig.set_reference(by_request)
+    rig.set_reference(by_block)
+    for _ in range(3):
+        await rig.turn()
+    assert rig.control.memory.reference_id == by_block
+    assert answer(bench) == 1.0
+
+
+async def test_a_reference_that_has_ended_answers_nobody_by_the_one_before_it(rig, bench):
+    await rig.active()
+    ask(bench, 1, REFERENCE)
+    await rig.turn()
+    bench.nc.work_offset += 1
+    for _ in range(3):
+        await rig.turn()
+    assert answer(bench) == 0.0
+
+
 async def test_a_positioning_that_polling_saw_too_is_no_notice(rig, bench):
     await rig.active()
     bench.nc.sequence_number = 100
