@@ -139,7 +139,7 @@ def deepest_speed(
 ) -> SpeedChoice | None:
     """Return the speed that bears most within the tolerance to both sides, for when none bears depth and margin.
 
-    None when even there the limiting depth is below the programmed one, at the speed or within its tolerance.
+    None when even there the limiting depth is below the programmed one.
 
     The parameters are those of `choose_speed`; the margin of the demand is not asked for.
     """
@@ -148,7 +148,7 @@ def deepest_speed(
     inside = np.flatnonzero((speeds >= low) & (speeds <= high))
     worst = _worst_within(lobes, demand.tolerance_fraction)
     place = int(inside[np.argmax(worst[inside])])
-    if worst[place] < demand.depth_mm:
+    if depths[place] < demand.depth_mm:
         return None
     return SpeedChoice(
         speed_rpm=float(speeds[place]),
