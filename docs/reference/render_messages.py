@@ -62,6 +62,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "daemon/spindle_speed",
         "daemon/speed_planner.py",
         "models/spindle_speed/choice.py",
+        "models/spindle_speed/planner.py",
         "models/spindle_speed/tracked_tool_point.py",
         "models/spindle_speed/tuning.py",
         "models/spindle_speed/verification.py",

@@ -169,6 +169,12 @@ def limiting_depth_mm(lobes: StabilityLobes, speed_rpm: float) -> float:
     return _depth_at(lobes, speed_rpm)
 
 
+def least_depth_mm(lobes: StabilityLobes, speed_rpm: float, fraction: float) -> float:
+    """Return the lowest limiting depth within a share of a speed [1/min] to both sides, NaN outside the lobes [mm]."""
+    beside = np.abs(lobes.speed_rpm - speed_rpm) <= fraction * speed_rpm
+    return float(np.min([limiting_depth_mm(lobes, speed_rpm), *lobes.limiting_depth_mm[beside]]))
+
+
 def rule_candidates_rpm(
     resonances_hz: Sequence[float], offset_hz: float, teeth: int, range_rpm: tuple[float, float]
 ) -> tuple[float, ...]:

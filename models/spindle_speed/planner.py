@@ -13,6 +13,7 @@ from models.spindle_speed.choice import (
     SpeedDemand,
     choose_speed,
     deepest_speed,
+    least_depth_mm,
     limiting_depth_mm,
     rule_candidates_rpm,
     stable_range_rpm,
@@ -88,7 +89,7 @@ class SpeedPlanner:
         choice = choose_speed(lobes, demand, range_rpm=operation.range_rpm, candidates_rpm=candidates)
         denied = dict[float, str]()
         if choice.stable:
-            if not (denial := self._denial(known, choice.speed_rpm)):
+            if not (denial := self._denial(known, lobes, choice.speed_rpm)):
                 return choice
             denied[choice.speed_rpm] = denial
             low_rpm, high_rpm = operation.range_rpm
@@ -101,7 +102,7 @@ class SpeedPlanner:
                 return min(found, key=lambda each: abs(each.speed_rpm - programmed_rpm))
         deepest = deepest_speed(_without(lobes, denied, demand), demand, operation.range_rpm)
         if deepest is not None:
-            if not (denial := self._denial(known, deepest.speed_rpm)):
+            if not (denial := self._denial(known, lobes, deepest.speed_rpm)):
                 return deepest
             denied[deepest.speed_rpm] = denial
         if not denied:
@@ -115,12 +116,18 @@ class SpeedPlanner:
             "widen the limits",
         )
 
-    def _denial(self, known: EstimatedToolPoint, speed_rpm: float) -> str:
-        """Return why a speed is not taken although the lobes offer it, '' when it is."""
+    def _denial(self, known: EstimatedToolPoint, lobes: StabilityLobes, speed_rpm: float) -> str:
+        """Return why a speed is not taken although the lobes offer it, '' when it is.
+
+        The command may stand off it by the tolerance, which bears the depth by the verification, or by the lobes.
+        """
         demand = self.operation.demand
-        if self._check is None:
+        if self._check is not None:
+            return self._check.denial(known.response, speed_rpm, demand.depth_mm, demand.tolerance_fraction)
+        bears_mm = least_depth_mm(lobes, speed_rpm, demand.tolerance_fraction)
+        if bears_mm >= demand.depth_mm:
             return ""
-        return self._check.denial(known.response, speed_rpm, demand.depth_mm, demand.tolerance_fraction)
+        return f"within {demand.tolerance_fraction:.1%} of {speed_rpm:.0f} 1/min it is stable to {bears_mm:.3g} mm only"
 
     def _verified(
         self,
@@ -137,7 +144,7 @@ class SpeedPlanner:
             choice = choose_speed(left, demand, range_rpm=range_rpm, candidates_rpm=candidates)
             if not choice.stable:
                 return None
-            if not (denial := self._denial(known, choice.speed_rpm)):
+            if not (denial := self._denial(known, lobes, choice.speed_rpm)):
                 return choice if candidates is not None else self._nearest(known, lobes, choice, denied)
             denied[choice.speed_rpm] = denial
         return None
@@ -153,11 +160,11 @@ class SpeedPlanner:
         low, high = stable_range_rpm(lobes, self.operation.demand, good)
         ahead = [speed for speed in denied if (speed > good) is upwards]
         bad = min([*ahead, programmed_rpm, high]) if upwards else max([*ahead, programmed_rpm, low])
-        if bad not in denied and not self._denial(known, bad):
+        if bad not in denied and not self._denial(known, lobes, bad):
             good = bad
         while abs(bad - good) > EDGE_WIDTH * good:
             middle = (good + bad) / 2.0
-            if self._denial(known, middle):
+            if self._denial(known, lobes, middle):
                 bad = middle
             else:
                 good = middle

@@ -23,7 +23,7 @@ class SpeedState(StrEnum):
     TUNED = "TUNED"
     """The chosen speed, or the programmed one because it is stable."""
     HOLD = "HOLD"
-    """Frozen: within a cut, without data, or blocked by a flagged property."""
+    """Frozen: within a cut, without data, blocked by a flagged property, or off the stable range for a moment."""
     NO_STABLE_SPEED = "NO_STABLE_SPEED"
     """The programmed speed and an alarm."""
 
@@ -177,6 +177,8 @@ def step(
             begun=memory.begun or state in (SpeedState.TUNED, SpeedState.NO_STABLE_SPEED),
             off_since_s=math.nan if moved == target else memory.off_since_s,
         )
+    if state is SpeedState.TUNED and (waits := _waits_outside(memory, inputs, settings)):
+        state, reason = SpeedState.HOLD, waits
     command = SpindleSpeedCommand(
         speed_rpm=memory.commanded_rpm,
         feed_mm_min=feed_mm_min(inputs, settings, memory.commanded_rpm),
@@ -234,6 +236,20 @@ def _watched(
     lasts = math.isfinite(memory.off_since_s) and not jumped
     since = (memory.off_since_s if lasts else inputs.now_s) if off else math.nan
     return replace(memory, target_rpm=smoothed, off_since_s=since, last_s=inputs.now_s)
+
+
+def _waits_outside(memory: SpeedTuningMemory, inputs: SpeedTuningInputs, settings: SpeedTuningSettings) -> str:
+    """Return that the command is none of the stable speeds until the target has lasted, '' where it is one."""
+    choice, here = inputs.choice, memory.commanded_rpm
+    if choice is None or not memory.begun or _one_pocket(here, inputs):
+        return ""
+    if abs(here - choice.speed_rpm) <= settings.hysteresis_rpm:
+        return ""
+    low, high = choice.pocket_rpm
+    return (
+        f"{here:.0f} 1/min is not among the stable speeds, {low:.0f} to {high:.0f}: {choice.speed_rpm:.0f} is taken at "
+        f"a safe block when it has lasted for {settings.dwell_s:g} s"
+    )
 
 
 def _one_pocket(speed_rpm: float, inputs: SpeedTuningInputs) -> bool:

@@ -127,15 +127,15 @@ def flagged_within(share: float) -> ThermomechanicalModel:
     return replace(model, axes=axes)
 
 
-@pytest.mark.parametrize(("share", "covered"), [(0.02, True), (0.05, False)])
+@pytest.mark.parametrize(("share", "covered"), [(0.08, True), (0.1, False)])
 async def test_a_flagged_property_and_the_hysteresis_together_stay_within_what_is_verified(
     tmp_path: Path, share: float, covered: bool
 ) -> None:
-    """The command may stand off the target by the one, and the pocket by the other: 199 of 180 1/min."""
+    """The command may stand off the target by the one, and the pocket by the other: 179 of 178 1/min."""
     bench = SpeedRig(tmp_path, model=flagged_within(share), hysteresis_rpm=100.0)
     async with running(bench.rig):
         await bench.rig.turn()
-        speed_rpm, *_ = await bench.operation()
+        speed_rpm, *_ = await bench.operation(D=1.6)
         picture = bench.picture()
         assert 50.0 < picture["flagged_span_rpm"] <= 100.0
         assert picture["state"] == ("TUNED" if covered else "HOLD") and (speed_rpm != 9000.0) is covered

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models.records import Phase
-from models.spindle_speed.choice import SpeedDemand
+from models.spindle_speed.choice import SpeedDemand, deepest_speed, least_depth_mm
 from models.spindle_speed.planner import MillingOperation, SpeedPlanner
 from models.spindle_speed.strategies import TunedSpeed
 from models.spindle_speed.tool_point import EstimatedToolPoint
@@ -72,9 +72,10 @@ def test_an_offset_leaves_the_speeds_of_the_rule_only() -> None:
 
 def test_without_the_margin_the_deepest_speed_is_taken_and_without_the_depth_none() -> None:
     lobes = lobes_of(known_at(620.0, 680.0).response)
-    deepest_mm = float(
-        lobes.limiting_depth_mm[(lobes.speed_rpm >= RANGE_RPM[0]) & (lobes.speed_rpm <= RANGE_RPM[1])].max()
-    )
+    best = deepest_speed(lobes, replace(OPERATION.demand, depth_mm=0.01), RANGE_RPM)
+    assert best is not None
+    deepest_mm = least_depth_mm(lobes, best.speed_rpm, OPERATION.demand.tolerance_fraction)
+    assert deepest_mm < 0.95 * best.limiting_depth_mm
     tight = replace(OPERATION, demand=replace(OPERATION.demand, depth_mm=0.95 * deepest_mm))
     choice = SpeedPlanner(tight, lobes_of).plan(known_at(620.0, 680.0)).choice
     assert choice.stable
