@@ -102,9 +102,9 @@ class Mill:
         """Call it, let a stop for the operator go on, and return its status once its echo has another time."""
         before = (await self.cnc.read_macros([513]))[513]
         await self.linuxcnc.mdi("o<toolpoint> call [1]")
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(30):
             while (echo := await self.cnc.read_macros([513, 514]))[513] in (None, before):
-                await asyncio.sleep(0.01)
+                await self.linuxcnc.do(["pass"])  # a busy computer may stop it after the call looked done
         assert echo[514] is not None
         return GuardStatus(int(echo[514]))
 
