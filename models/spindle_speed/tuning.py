@@ -166,8 +166,6 @@ def step(
     state, target, reason, alarm = _wanted(memory, inputs, settings)
     memory = _watched(memory, inputs, settings, target)
     moved, jump = _moved(memory, inputs, settings, target)
-    if inputs.phase is not Phase.SAFE_POINT and state is not SpeedState.OFF:
-        reason = f"{reason}; waiting for a safe block" if moved != memory.commanded_rpm else reason
     due = moved != memory.commanded_rpm
     write = due and inputs.phase is Phase.SAFE_POINT
     if inputs.phase is Phase.SAFE_POINT:
@@ -177,8 +175,10 @@ def step(
             begun=memory.begun or state in (SpeedState.TUNED, SpeedState.NO_STABLE_SPEED),
             off_since_s=math.nan if moved == target else memory.off_since_s,
         )
-    if state is SpeedState.TUNED and (waits := _waits_outside(memory, inputs, settings)):
-        state, reason = SpeedState.HOLD, waits
+    if state is SpeedState.TUNED and (outside := _outside(memory, inputs, settings)):
+        state, reason = SpeedState.HOLD, outside
+    if due and inputs.phase is not Phase.SAFE_POINT and state is not SpeedState.OFF:
+        reason = f"{reason}; waiting for a safe block"
     command = SpindleSpeedCommand(
         speed_rpm=memory.commanded_rpm,
         feed_mm_min=feed_mm_min(inputs, settings, memory.commanded_rpm),
@@ -238,8 +238,8 @@ def _watched(
     return replace(memory, target_rpm=smoothed, off_since_s=since, last_s=inputs.now_s)
 
 
-def _waits_outside(memory: SpeedTuningMemory, inputs: SpeedTuningInputs, settings: SpeedTuningSettings) -> str:
-    """Return that the command is none of the stable speeds until the target has lasted, '' where it is one."""
+def _outside(memory: SpeedTuningMemory, inputs: SpeedTuningInputs, settings: SpeedTuningSettings) -> str:
+    """Return that the command is none of the stable speeds, '' where it is one or the operation has yet to begin."""
     choice, here = inputs.choice, memory.commanded_rpm
     if choice is None or not memory.begun or _one_pocket(here, inputs):
         return ""
@@ -247,8 +247,8 @@ def _waits_outside(memory: SpeedTuningMemory, inputs: SpeedTuningInputs, setting
         return ""
     low, high = choice.pocket_rpm
     return (
-        f"{here:.0f} 1/min is not among the stable speeds, {low:.0f} to {high:.0f}: {choice.speed_rpm:.0f} is taken at "
-        f"a safe block when it has lasted for {settings.dwell_s:g} s"
+        f"{here:.0f} 1/min is not among the stable speeds, {low:.0f} to {high:.0f}, of which one is taken when it has "
+        f"lasted for {settings.dwell_s:g} s"
     )
 
 

@@ -92,7 +92,7 @@ def test_a_target_in_another_pocket_has_yet_to_last() -> None:
         command, memory = step(memory, at(now_s, choice(7000.0)), SETTINGS)
         assert not command.write, "it is off the command for long, but there for a moment only"
         assert (command.speed_rpm, command.state) == (8600.0, SpeedState.HOLD)
-        assert command.reason.startswith("8600 1/min is not among the stable speeds, 6600 to 7400: 7000 is taken")
+        assert command.reason.startswith("8600 1/min is not among the stable speeds, 6600 to 7400, of which")
     command, memory = step(memory, at(80.1, choice(7000.0)), SETTINGS)
     assert command.write and command.jump and command.speed_rpm == 7000.0
 
