@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from config.schema import Configuration
 from config.schema.spindle_speed import SpindleSpeedConfig
-from daemon.cnc.events import Journal
+from daemon.cnc.events import NUMBERS, Journal
 from daemon.cnc.interlocks import Interlocks
 from daemon.cnc.session import CncSession
 from daemon.snapshots import SpindleSpeedSnapshot
@@ -145,7 +145,7 @@ class Follower:
     def _inhibit(self, why: str) -> None:
         """Take why nothing is decided or written; log once what is logged nowhere else."""
         elsewhere = why in ("", NO_LINK) or self._journal.fault is not None
-        if not elsewhere and why != self._inhibited:
+        if not elsewhere and NUMBERS.sub("~", why) != NUMBERS.sub("~", self._inhibited):
             self._journal.say("alarm", f"spindle speed: {why}")
         self._inhibited = why
 
@@ -278,7 +278,7 @@ class Follower:
         if command is not None and from_rpm != to_rpm:
             word = "jumps" if command.jump else "moves"
             self._journal.say("speed", f"{word} from {from_rpm:.0f} to {to_rpm:.0f} 1/min: {command.reason}")
-        if now.alarm and now.alarm != before.alarm:
+        if now.alarm and NUMBERS.sub("~", now.alarm) != NUMBERS.sub("~", before.alarm):  # its numbers may run on
             self._journal.say("alarm", f"spindle speed: {now.alarm}")
 
     # --- showing -------------------------------------------------------------------------

@@ -117,7 +117,8 @@ def choose_speed(
         stable = np.array([programmed])
     if not len(stable):
         what = "no speed" if candidates_rpm is None else f"none of {len(candidates_rpm)} speeds of the rule"
-        best = float(np.max(lobes.limiting_depth_mm[(speeds >= low) & (speeds <= high)]))
+        at_ends = [_depth_at(lobes, low), _depth_at(lobes, high)]  # between two speeds of the lobes there may be none
+        best = float(np.nanmax([*at_ends, *lobes.limiting_depth_mm[(speeds >= low) & (speeds <= high)]]))
         return SpeedChoice(
             speed_rpm=programmed,
             limiting_depth_mm=_depth_at(lobes, programmed),

@@ -160,6 +160,20 @@ async def test_no_stable_speed_is_the_programmed_one_and_an_alarm(bench: SpeedRi
     assert "cut less deep or widen the limits" in bench.picture()["alarm"]
 
 
+async def test_an_alarm_whose_numbers_run_on_is_recorded_once(bench: SpeedRig) -> None:
+    await bench.operation(D=15.0)
+    said = set()
+    for _ in range(12):
+        bench.degc += 0.5
+        await bench.pass_by(5.0, SAFE)
+        said.add(bench.picture()["alarm"])
+    assert len(said) > 3
+    await bench.rig.history.flushed()
+    with HistoryReader(bench.rig.configuration.history.path) as reader:
+        alarms = [each for each in reader.events(0.0, 1e12) if "cut less deep" in each.text]
+    assert len(alarms) == 1
+
+
 async def test_another_operation_does_not_inherit_the_speed(bench: SpeedRig) -> None:
     await bench.operation()
     assert bench.call(S=8000.0, F=1600.0) == (8000.0, 1600.0, SpeedStatus.ANOTHER)

@@ -44,6 +44,16 @@ def test_a_stable_programmed_speed_stays() -> None:
     assert choice.stable
 
 
+def test_a_range_between_two_speeds_of_the_lobes_has_a_depth() -> None:
+    """Such as that above a programmed speed that is the highest of the machine."""
+    diagram = lobes()
+    low_mm, high_mm = diagram.limiting_depth_mm[100:102]
+    between = float(diagram.speed_rpm[100:102].mean())
+    choice = choose_speed(diagram, SpeedDemand(programmed_rpm=between, depth_mm=50.0), range_rpm=(between, between))
+    assert not choice.stable
+    assert f"(at most {(low_mm + high_mm) / 2.0:.3g} mm anywhere)" in choice.alarm
+
+
 def test_the_nearest_speed_that_bears_the_depth_with_margin_and_tolerance() -> None:
     diagram = lobes()
     worst = float(diagram.speed_rpm[np.argmin(diagram.limiting_depth_mm)])
