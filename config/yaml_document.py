@@ -79,15 +79,12 @@ def read_yaml(text: str) -> YamlDocument:
         document.faults.append(Fault((1, 1), (), "lists or mappings are nested too deeply to be a configuration"))
         return document
     for mark, tag in loader.tagged:
-        sentence = f"the tag {_short_tag(tag)} is refused; write the plain value, in quotes if it is text"
+        short = tag.replace("tag:yaml.org,2002:", "!!")
+        sentence = f"the tag {short} is refused; write the plain value, in quotes if it is text"
         document.faults.append(Fault((mark.line + 1, mark.column + 1), (), sentence))
     if root is not None:
         document.value = _Reader(document).read(root, ())
     return document
-
-
-def _short_tag(tag: str) -> str:
-    return tag.replace("tag:yaml.org,2002:", "!!")
 
 
 class _TagWatchingLoader(yaml.SafeLoader):

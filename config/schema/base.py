@@ -44,6 +44,7 @@ READ_AHEAD_STOP_PATTERN = r"^(G53|M[1-9]\d{0,2})$"
 TOPIC_PATTERN = r"^[^+#\x00]+$"
 TOPIC_LEVEL_PATTERN = r"^[^/+#\x00-\x1f\x7f]+$"
 HOST_PATTERN = r"^([^\x00-\x20\x7f/@:\[\]]+|[0-9A-Fa-f]*:[0-9A-Fa-f:.]*:[^\x00-\x20\x7f/@\[\]]*)$"
+SERVER_PATTERN = rf"^[/@][^\x00-\x1f\x7f]*$|{HOST_PATTERN}"
 ENDPOINT_PATTERN = r"^opc\.tcp://[^\x00-\x20\x7f/]+(/[^\x00-\x1f\x7f]*)?$"
 AGENT_PATTERN = r"^http://[^\x00-\x20\x7f/?#@]+(/[^\x00-\x20\x7f?#]*)?$"
 FOLDER_OR_BUCKET_PATTERN = r"^(/|(s3|gs)://[^\s/])"
@@ -61,6 +62,7 @@ FORMS = {
     TOPIC_LEVEL_PATTERN: "one level of a topic, without / + #",
     AGENT_PATTERN: "an address such as http://192.0.2.10:5000",
     HOST_PATTERN: "a name or an address, without a port, brackets and blanks",
+    SERVER_PATTERN: "a name or an address, without a port, brackets and blanks, or the folder of a socket from /",
     WEBHOOK_PATTERN: "an address such as https://chat.plant.example/hooks/42, without blanks, and no @ in its host",
     MAIL_ADDRESS_PATTERN: "an address such as maintenance@plant.example, of ASCII characters",
     FOLDER_OR_BUCKET_PATTERN: "a folder from / such as /srv/plant/history, or s3://plant/history",

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from config.schema.base import (
     FOLDER_OR_BUCKET_PATTERN,
     MAIL_ADDRESS_PATTERN,
+    SERVER_PATTERN,
     TOPIC_LEVEL_PATTERN,
     TOPIC_PATTERN,
     WEBHOOK_PATTERN,
@@ -25,7 +26,7 @@ from config.schema.base import (
 class PostgresqlConfig(TlsAccount):
     """A PostgreSQL database, 13 or newer, with or without TimescaleDB."""
 
-    host: str = Field(min_length=1, description="name or address of the server", examples=["192.168.10.50"])
+    host: str = Field(pattern=SERVER_PATTERN, description="name or address of the server", examples=["192.168.10.50"])
     port: int = Field(5432, ge=1, le=65535, description="its TCP port")
     database: str = Field("toolpoint", min_length=1, description="name of the database, which must be there")
     user_name: str = Field("toolpoint", min_length=1, description="role that may create tables in the database")

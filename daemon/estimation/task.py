@@ -283,7 +283,7 @@ class ThermalTask:
             reference_id=reference.reference_id,
             line=temperatures.line,
             trace=replace(temperatures.trace, estimated=self._clock.now()),
-            probe_wander=_probe_wander(model),
+            probe_wander=None if model.probing is None else (model.probing.um2_per_min, model.probing.correlation_min),
             follows=self._follows,
         )
 
@@ -438,11 +438,6 @@ def _log_faults(cycle: TemperatureCycle, left_out: int) -> None:
     event = "cycle.faults" if cycle.complete else "cycle.incomplete"
     more = {"left_out": left_out} if left_out else {}
     log.warning(event, line=cycle.line, number=cycle.number, faults=cycle.faults[:5] or "none any more", **more)
-
-
-def _probe_wander(model: ThermalModel) -> tuple[FloatArray, FloatArray] | None:
-    """Return how what the model misses wanders, per channel, see `models.thermal.bias`."""
-    return None if model.probing is None else (model.probing.um2_per_min, model.probing.correlation_min)
 
 
 def _unsure(

@@ -6,7 +6,7 @@ from pydantic import BaseModel, ValidationError
 from config.schema.cnc_drivers import FocasConfig, HaasConfig, MtconnectConfig, OpcUaConfig
 from config.schema.modbus import ModbusConfig
 from config.schema.service import OpcUaServerConfig, ServiceConfig, ShdrConfig
-from config.schema.sinks import MailConfig
+from config.schema.sinks import MailConfig, PostgresqlConfig
 from config.schema.source_sections import MqttConfig
 
 
@@ -35,7 +35,9 @@ def test_what_no_host_is_called_is_refused(section: type[BaseModel], key: str, f
 
 
 @pytest.mark.parametrize("host", ["[::1]", "db.plant.example:5432", "192.168.10.20:8193", "tcp://broker", ":80"])
-@pytest.mark.parametrize("section", [FocasConfig, ModbusConfig, MqttConfig, ShdrConfig, ServiceConfig, MailConfig])
+@pytest.mark.parametrize(
+    "section", [FocasConfig, ModbusConfig, MqttConfig, ShdrConfig, ServiceConfig, MailConfig, PostgresqlConfig]
+)
 def test_a_port_or_brackets_in_a_host_are_refused_and_not_looked_up_as_a_name(
     section: type[BaseModel], host: str
 ) -> None:
@@ -61,3 +63,8 @@ def test_a_port_or_brackets_in_a_host_are_refused_and_not_looked_up_as_a_name(
 )
 def test_hosts_that_there_are_are_taken(host: str) -> None:
     assert FocasConfig(host=host).host == host
+
+
+@pytest.mark.parametrize("host", ["/run/postgresql", "@abstract", "db.plant.example", "::1"])
+def test_a_database_may_also_be_behind_a_socket_of_this_computer(host: str) -> None:
+    assert PostgresqlConfig(host=host).host == host
