@@ -14,12 +14,14 @@ from pathlib import Path
 import history_records as make
 import numpy as np
 import pytest
+import yaml
 from click.testing import CliRunner
 from control_rig import machine
 from history_records import EPOCH_S, SMALL, StillClock
 from structlog.testing import capture_logs
 from tidied_store import housekeeping, packed_here
 
+from config.sample import sample_configuration
 from config.schema import Configuration
 from config.schema.service import HistoryConfig
 from config.schema.sinks import SinkConfig
@@ -377,6 +379,25 @@ def test_the_command_without_the_section_says_where_to_read(tmp_path: Path) -> N
     path.write_text(path.read_text().split("\nsinks:")[0])
     done = CliRunner().invoke(main, ["sink", "status", "--config", str(path)])
     assert done.exit_code == 2 and "there is no section `sinks`" in done.output
+
+
+def test_status_ends_with_1_unless_every_sink_runs_and_can_send(tmp_path: Path) -> None:
+    store, path = tmp_path / "h.sqlite", tmp_path / "t.yaml"
+    writer_of(store, EPOCH_S).close()
+    document = yaml.safe_load(sample_configuration())
+    path.write_text(
+        yaml.safe_dump(document | {"history": {"path": str(store)}, "sinks": [SINK.model_dump(mode="json")]})
+    )
+
+    def status() -> int:
+        return CliRunner().invoke(main, ["sink", "status", "--config", str(path)]).exit_code
+
+    assert status() == 1  # no process sends
+    with alone(store):
+        Cursor(alive_utc_s=time.time()).write(cursor_path(store, SINK.name))
+        assert status() == 0
+        Cursor(alive_utc_s=time.time(), problem="the database refuses").write(cursor_path(store, SINK.name))
+        assert status() == 1
 
 
 def test_what_comes_back_is_tried_again_within_a_quarter_of_the_time_that_it_was_away(

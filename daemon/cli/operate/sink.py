@@ -1,6 +1,7 @@
 """`toolpoint sink`: send the history to other systems, and say how far each of them is."""
 
 import signal
+import sys
 import time
 from datetime import UTC, datetime
 from pathlib import Path
@@ -46,13 +47,18 @@ def run(config_path: Path) -> None:
 @config_option
 @json_option
 def status(config_path: Path, json_path: str | None) -> None:
-    """Say what each sink has taken, what waits for it, and what keeps it from taking more."""
+    """Say what each sink has taken, what waits for it, and what keeps it from taking more.
+
+    Exit status 1 when one of them does not run or cannot send.
+    """
     configuration = _with_sinks(config_path)
     found = sink_status(configuration, time.time())
     write_json(json_path, {"sinks": found})
     if json_path is None:
         for each in found:
             click.echo(in_words(each, configuration.history.keep_for_sinks_days))
+    if any(each["problem"] or not each["running"] for each in found):
+        sys.exit(FAILED)
 
 
 def in_words(status: dict[str, Any], keep_days: float) -> str:
