@@ -7,14 +7,16 @@ import re
 import ssl
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from datetime import UTC, datetime
+from ipaddress import ip_address
 from pathlib import Path
 
 import numpy as np
 from cryptography import x509
+from cryptography.hazmat.primitives.serialization import Encoding
 
 from config.records.commissioning import CommissioningError, commissioning_inhibit, load_commissioning
 from config.schema import Configuration
-from config.schema.service import OpcUaServerConfig
+from config.schema.service import OpcUaServerConfig, ServiceConfig
 from config.schema.sinks import SinkConfig
 from config.schema.source_drivers import SourceEntry
 from config.schema.temperatures import LineConfig, TemperatureInput
@@ -45,7 +47,7 @@ def served(configuration: Configuration) -> Iterator[Finding]:
     """Yield whether these files can be used."""
     service, tags = configuration.service, configuration.opcua_server
     if service.http_port is not None and (certificate := service.tls_certificate) and (key := service.tls_key):
-        yield _tried("monitor", [certificate, key], lambda: _monitor(certificate, key))
+        yield _tried("monitor", [certificate], lambda: _monitor(service, certificate, key))
     if (users := service.users) is not None:
         yield _tried("accounts", [users], lambda: f"{len(read_accounts(users))} may log in")
     if tags is not None:
@@ -119,22 +121,56 @@ def _sink(sink: SinkConfig, machine: str) -> str:
     return "; ".join(filter(None, found))
 
 
-def _monitor(certificate: Path, key: Path) -> str:
-    from daemon.monitor.web.server import Certificate  # noqa: PLC0415 (a web server is loaded only where there is one)
-    from drivers.opcua.certificates import load_certificate  # noqa: PLC0415 (nor is OPC UA, a third of the start)
+def _monitor(service: ServiceConfig, certificate: Path, key: Path) -> str:
+    # A web server is loaded only where there is one, and so is OPC UA, a third of the start.
+    from daemon.monitor.web.server import Certificate, names_of_certificate  # noqa: PLC0415
+    from drivers.opcua.certificates import load_certificate  # noqa: PLC0415
 
     found = load_certificate(certificate)
+    if not (handed := _handed_over(key)):
+        try:
+            Certificate(certificate, key)
+        except ssl.SSLError as error:
+            raise ValueError(
+                f"{key} is not the private key of {certificate}: give the two that were made together"
+            ) from error
+        except OSError as error:
+            raise ValueError(
+                f"{key}: the private key of {certificate} cannot be read ({error.strerror or error})"
+            ) from error
+    valid = _valid(certificate, found)
+    names = names_of_certificate(found.public_bytes(Encoding.PEM))
+    if not names:
+        raise ValueError(
+            f"{certificate} carries no name (subjectAltName), so no browser takes it: make it for the name by which "
+            "people reach the monitor"
+        )
+    if (why := _other_names(service, names)) != "":
+        raise ValueError(f"{certificate} is for {', '.join(sorted(names))}, {why}")
+    return "; ".join(filter(None, [f"{valid}, for {', '.join(sorted(names))}", handed]))
+
+
+def _other_names(service: ServiceConfig, names: set[str]) -> str:
+    """Return why nobody reaches the monitor by one of these names, '' where somebody may."""
+    host = service.http_host.lower()
+    if service.http_is_local or service.trusted_proxies:
+        return ""  # people come by the name of a proxy or of a tunnel
     try:
-        Certificate(certificate, key)
-    except ssl.SSLError as error:
-        raise ValueError(
-            f"{key} is not the private key of {certificate}: give the two that were made together"
-        ) from error
-    except OSError as error:
-        raise ValueError(
-            f"{key}: the private key of {certificate} cannot be read ({error.strerror or error})"
-        ) from error
-    return _valid(certificate, found)
+        address = ip_address(host)
+    except ValueError:
+        named = {host, f"*.{host.partition('.')[2]}"} & names
+        return "" if named else f"not for service.http_host, {host}: make it for that name"
+    if address.is_unspecified or str(address) in names or not all(_is_address(each) for each in names):
+        return ""  # its names may lead here
+    return f"none of which is service.http_host, {host}: make it for the address or name by which people reach it"
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ip_address(name)
+    except ValueError:
+        return False
+    return True
 
 
 def _tags(section: OpcUaServerConfig) -> str:

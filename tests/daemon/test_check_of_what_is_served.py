@@ -1,5 +1,6 @@
 """`toolpoint check` looks at certificates, keys and accounts before the daemon needs them."""
 
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,7 @@ import pytest
 import yaml
 from certificates import make_certificate
 from click.testing import CliRunner
+from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from model_folder import open_folder
 from other_user import OTHER, as_root, as_user
@@ -46,7 +48,11 @@ def test_what_can_be_used_is_found_good_and_a_credential_is_the_services_own_aff
     status, output = check(folder)
     assert status == 0 and "1 may log in" in output and output.count("valid until") == 2
     status, output = check(folder, tls_key="/run/credentials/toolpoint.service/monitor-key")
-    assert status == 0 and "monitor-key is handed to the service" in output
+    assert (
+        status == 0
+        and "monitor-key is handed to the service" in output
+        and "for 10.0.0.17, localhost, mill-7" in output
+    )
 
 
 @pytest.mark.parametrize(
@@ -117,6 +123,34 @@ def test_a_certificate_that_has_expired_or_has_another_key_is_named(folder: Path
     (folder / "monitor.key").unlink()
     status, output = check(folder)
     assert status == 1 and "monitor.crt cannot be read (No such file or directory)" in output
+
+
+ADDRESS = x509.IPAddress(ip_address("10.0.0.17"))
+
+
+@pytest.mark.parametrize(
+    ("names", "service", "sentence"),
+    [
+        ([], {}, "carries no name (subjectAltName)"),
+        ([x509.DNSName("mill-7.hall")], {"http_host": "mill-8.hall"}, "not for service.http_host, mill-8.hall"),
+        ([ADDRESS], {"http_host": "10.0.0.18"}, "none of which is service.http_host, 10.0.0.18"),
+        ([x509.DNSName("mill-7.hall")], {"http_host": "Mill-7.hall"}, ""),
+        ([x509.DNSName("*.hall")], {"http_host": "mill-8.hall"}, ""),
+        ([x509.DNSName("mill-7.hall")], {"http_host": "10.0.0.18"}, ""),
+        ([ADDRESS], {"http_host": "10.0.0.17"}, ""),
+        ([ADDRESS], {"http_host": "0.0.0.0"}, ""),
+        ([x509.DNSName("plant")], {"http_host": "mill-8.hall", "trusted_proxies": ["10.0.0.1"]}, ""),
+        ([x509.DNSName("plant")], {}, ""),
+    ],
+)
+@pytest.mark.parametrize("key", ["monitor.key", "/run/credentials/toolpoint.service/monitor-key"])
+def test_a_certificate_for_other_names_than_the_monitors_is_named(
+    folder: Path, names: list[x509.GeneralName], service: dict[str, Any], sentence: str, key: str
+) -> None:
+    make_certificate(folder, names=names)
+    status, output = check(folder, tls_key=key, **service)
+    assert (status, sentence in output) == (1 if sentence else 0, True), output
+    assert f"{folder}/monitor.crt" in output
 
 
 def test_a_key_with_a_passphrase_is_told_from_the_key_of_another_certificate(folder: Path) -> None:

@@ -11,13 +11,14 @@ from cryptography.hazmat.primitives.asymmetric import ec
 HOST = "mill-7.hall"
 
 
-def make_certificate(folder, days=(-1, 1), host=HOST):
+def make_certificate(folder, days=(-1, 1), host=HOST, names=None):
     """Write a certificate of its own authority, valid on these days from now, and its key; return what trusts it."""
     key = ec.generate_private_key(ec.SECP256R1())
     subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, HOST)])
-    names = [x509.DNSName(host), x509.DNSName("localhost"), x509.IPAddress(ip_address("10.0.0.17"))]
+    if names is None:
+        names = [x509.DNSName(host), x509.DNSName("localhost"), x509.IPAddress(ip_address("10.0.0.17"))]
     now = datetime.now(UTC)
-    made = (
+    builder = (
         x509.CertificateBuilder()
         .subject_name(subject)
         .issuer_name(subject)
@@ -25,10 +26,11 @@ def make_certificate(folder, days=(-1, 1), host=HOST):
         .serial_number(x509.random_serial_number())
         .not_valid_before(now + timedelta(days=days[0]))
         .not_valid_after(now + timedelta(days=days[1]))
-        .add_extension(x509.SubjectAlternativeName(names), critical=False)
         .add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
-        .sign(key, hashes.SHA256())
     )
+    if names:
+        builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
+    made = builder.sign(key, hashes.SHA256())
     (folder / "monitor.crt").write_bytes(made.public_bytes(serialization.Encoding.PEM))
     secret = key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
