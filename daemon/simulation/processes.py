@@ -41,6 +41,8 @@ LOOK_AHEAD = 1.5
 """The guard accepts blocks this much longer than they are written for, polls included."""
 POSITIONING_S = 15.0
 """The simulated part programs stand at work positioning for longer than this [s]."""
+SILENT_S = 60.0
+"""The daemon may stand still so long, on a computer that sleeps or swaps [s of the wall clock]."""
 STOP_PATIENCE_S = 15.0
 PORTS_TRIED = 100
 LAST_PORT = 65535
@@ -301,7 +303,7 @@ def _wait_for_reports(
 def _connect(path: Path, daemon: "subprocess.Popen[bytes]", until_s: float) -> ControlClient:
     while time.monotonic() < until_s:
         try:
-            return ControlClient(path)
+            return ControlClient(path, SILENT_S)
         except DaemonUnreachableError:
             if daemon.poll() is not None:
                 raise SimulationError(f"the daemon ended with status {daemon.returncode}") from None

@@ -111,8 +111,8 @@ class SparkplugSink:
         return cursor.positions
 
     def close(self) -> None:
-        """Close the connection; the broker publishes the node's death."""
-        self._broker.close()
+        """Close the connection; the broker publishes the death of a node that was born."""
+        self._broker.close(will=self._born)
 
     def needs_rows(self) -> bool:
         self._broker.check()

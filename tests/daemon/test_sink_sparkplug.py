@@ -180,10 +180,10 @@ def test_sessions_are_numbered_0_to_255_over_and_over() -> None:
     assert SparkplugSink(section(1), "another")._bd_seq == 0
 
 
-def problem(port: int, store: Path, group: str) -> str:
+def problem(port: int, store: Path, group: str, **changes: object) -> str:
     """Send all that waits, or say why not."""
     stop = threading.Event()
-    config = section(port, group=group, timeout_s=5.0)
+    config = section(port, group=group, timeout_s=5.0, **changes)
     runner = SinkRunner(config, store, "mill", stop, wait=lambda _duration_s: stop.set())
     runner.run()
     return runner.cursor.problem
@@ -248,6 +248,23 @@ def test_a_storm_of_commands_to_be_born_again_is_answered_and_keeps_no_row_back(
     assert runner.cursor.problem == "" and 2 <= kinds.count("NBIRTH") < 20
     for (_, before), (kind, number) in itertools.pairwise(numbers):
         assert number == (0 if kind == "NBIRTH" else (before + 1) % 256)
+
+
+def test_a_node_that_was_not_born_does_not_die_and_one_that_was_does(tmp_path: Path) -> None:
+    """A host that hears a death without a birth before it counts a session that never was."""
+    store, heard = tmp_path / "h.sqlite", list[str]()
+    fill(store, hours=0.2)
+    host = paho.Client(CallbackAPIVersion.VERSION2, "host", protocol=paho.MQTTv5)
+    host.on_message = lambda _client, _data, message: heard.append(message.topic.split("/")[2])
+    with mosquitto(tmp_path, "allow_anonymous true") as port:
+        host.connect("127.0.0.1", port)
+        host.subscribe("spBv1.0/Plant/#", qos=1)
+        host.loop_start()
+        assert "is not online" in problem(port, store, "Plant", primary_host="scada")
+        assert problem(port, store, "Plant") == ""
+        wait_until(lambda: heard[-1:] == ["NDEATH"])
+        host.loop_stop()
+    assert heard[0] == "NBIRTH" and heard.count("NDEATH") == 1
 
 
 class OlderBroker(socketserver.ThreadingTCPServer):

@@ -46,8 +46,12 @@ def is_on(status: dict[str, Any]) -> bool:
 
 def simulator_of(demo: int) -> int:
     """Return the process of the simulated machine, a child of the demonstration."""
+    return child_of(demo, b"simulate")
+
+
+def child_of(demo: int, command: bytes) -> int:
     children = Path(f"/proc/{demo}/task/{demo}/children").read_text(encoding="ascii").split()
-    (found,) = (int(pid) for pid in children if b"simulate" in Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0"))
+    (found,) = (int(pid) for pid in children if command in Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0"))
     return found
 
 
@@ -71,6 +75,21 @@ def test_a_machine_that_stood_still_is_switched_on_again_and_ctrl_c_leaves_the_r
     with HistoryReader(tmp_path / "history.sqlite") as reader:
         asked = [event.text for event in reader.events(0.0, 2.0**40) if event.kind == "request"]
     assert asked == ["enable y, z", "enable y, z"]
+
+
+def test_a_daemon_that_stood_still_for_twelve_seconds_does_not_end_it(tmp_path: Path) -> None:
+    words = ("demo", "--minutes", 6000, "--speed", 1, "--web-port", free_port(), "--directory", tmp_path)
+    with toolpoint(*words) as demo:
+        wait_until(tmp_path, lambda status: status["output"]["since_s"] is not None)
+        daemon = child_of(demo.pid, b"run")
+        os.kill(daemon, signal.SIGSTOP)
+        time.sleep(12.0)
+        os.kill(daemon, signal.SIGCONT)
+        time.sleep(2.0)
+        assert demo.poll() is None, demo.communicate()[1]
+        os.killpg(demo.pid, signal.SIGINT)
+        said = demo.communicate(timeout=PATIENCE_S)[1]
+    assert demo.returncode == 0, said
 
 
 def test_without_a_view_and_with_sensors_on_another_wire_the_result_is_told_too(tmp_path: Path) -> None:
