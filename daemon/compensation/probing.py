@@ -159,8 +159,9 @@ class MeasuredByNc:
             self._history.probe(self._probe)
             self._skill.probe(self._probe, memory, inputs)
         if self.tool_setting is not None:
-            self.tool.begin(self.tool.number, self._look().estimate)
             axis = self._limits.axes[self.tool_setting.index(True)]
+            if axis in self._references.terms:  # one that is set on another axis goes on expanding along this
+                self.tool.begin(self.tool.number, self._look().estimate)
             self._journal.say("tool", f"T{self.tool.number} set on axis {axis}")
         self.tool_setting = self.probe_um = self._probe = None
         return ""

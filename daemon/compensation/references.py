@@ -67,8 +67,8 @@ class References:
         self._foreign: list[str] = []
         self._positioned: tuple[str, int, list[float | None]] = ("", 0, [])
         """The latest reference that was asked for and does not count yet, and then the tool, and what was echoed."""
-        terms = [axis.tool_term for axis in configuration.compensation.axes.values() if axis.tool_term is not None]
-        self._expanding = frozenset(label for term in terms for label in term.temperatures)
+        self.terms = {n: a.tool_term for n, a in configuration.compensation.axes.items() if a.tool_term is not None}
+        self._expanding = frozenset(label for term in self.terms.values() for label in term.temperatures)
         self._clock = clock
         self._history = history
         self._store = StateStore(history, clock)

@@ -42,8 +42,9 @@ class ToolInSpindle:
         if self._references.left is not None:  # nothing counts from what the previous run left yet
             return
         gap_s, self._gap_s = self._gap_s, 0.0
-        came = None not in (count, self._count) and count != self._count
-        self._count = self._count if count is None else count
+        more = 0.0 if count is None or self._count is None else count - self._count
+        known = gap_s <= TOOL_UNKNOWN_S and (more == 0.0 or more in range(1, int(gap_s) + 2))  # one a second at most
+        came, self._count = more != 0.0, self._count if count is None else count
         program_ended = self._named is not None and self._named[0] != self._program
         if self._named is not None and shown == self.number and not self._others:
             self._named, self._shown = (self._named[0], shown), ()
@@ -54,7 +55,7 @@ class ToolInSpindle:
             self._polled = shown
             self._named = None if program_ended else self._named
             if came or (self._named is None and changed):
-                self.begin(self.number if self._named else shown, estimate, known=gap_s <= TOOL_UNKNOWN_S)
+                self.begin(self.number if self._named else shown, estimate, known=known)
         self._keep()
 
     def _begin_with(self, shown: int) -> None:
@@ -64,20 +65,14 @@ class ToolInSpindle:
         if kept is None:
             self._polled = self.number = shown
             return
-        self._polled, self.number, self._shown = kept.shown, kept.number, kept.shown_since
-        self._count = kept.count
+        self._polled, self.number, self._shown, self._count = kept.shown, kept.number, kept.shown_since, kept.count
         self._named = None if kept.named_by is None else (kept.named_by, kept.shown_when_named)
 
     def _keep(self) -> None:
-        by, then = (None, None) if self._named is None else self._named
-        now = self.number if self._polled is None else self._polled
+        by, then = self._named or (None, None)
+        now, since = self.number if self._polled is None else self._polled, self._shown
         self._references.tool_seen = ToolSeen(
-            number=self.number,
-            shown=now,
-            named_by=by,
-            shown_when_named=then,
-            shown_since=self._shown,
-            count=self._count,
+            number=self.number, shown=now, named_by=by, shown_when_named=then, shown_since=since, count=self._count
         )
 
     def name(self, number: int, estimate: ThermalErrorEstimate | None) -> None:
@@ -131,8 +126,7 @@ class ToolInSpindle:
         if (kept := self._references.kept_id) is not None and kept != self._counted_from:
             self._count_from(kept)  # nothing has been estimated since the reference
         begin_degc = {label: increment if known else math.nan for label, (_, increment) in self._seen.items()}
-        tool = ToolOrigin(number=number, begin_degc=begin_degc)
-        self._references.tool_begins(tool, kept, self._shown_s)
+        self._references.tool_begins(ToolOrigin(number=number, begin_degc=begin_degc), kept, self._shown_s)
 
     def _count_from(self, reference_id: str | None) -> None:
         """Begin to follow the labels since a reference: what nobody has heard since had its increment of then."""

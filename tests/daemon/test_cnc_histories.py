@@ -9,8 +9,8 @@ import pytest
 from cnc_histories import Shop, played
 from cnc_wire import DIALECTS, serving
 
-SLOPED, TOOLS = 5, 3
-"""Seeds of a machine with a slope, and of one whose tools are set."""
+PLAIN, SLOPED, TOOLS, EXPANDING, BY_PLACE = 2, 5, 57, 9, 5
+"""Seeds: a machine with a slope, one whose tools are set, or expand, and one whose guard puts a slope in by place."""
 SOME, MANY = {"haas": 1}, 2
 """Histories of each dialect that are always played, where not two, and those beyond them."""
 
@@ -46,6 +46,18 @@ def another_answer(shop: Shop) -> None:
         error_um["z"] += 3.0
 
 
+def another_temperature(shop: Shop) -> None:
+    """A daemon whose tool expands from another temperature than it had when the work was positioned."""
+    for reference_id in shop.degc_at_reference:
+        shop.degc_at_reference[reference_id] += 1.0
+
+
+def another_slope(shop: Shop) -> None:
+    """A daemon that lets the guard put a slope into the offset that is 3 um off at the ends of the travel."""
+    for error_um in shop.at_reference.values():
+        error_um["z_slope"] += 12.0
+
+
 def set_elsewhere(shop: Shop) -> None:
     """A daemon that lets every tool count from another setting than the machine's."""
     assert shop.rig is not None and shop.rig.control.memory is not None
@@ -60,10 +72,12 @@ def set_elsewhere(shop: Shop) -> None:
 @pytest.mark.parametrize(
     ("dialect", "seed", "wrong"),
     [
-        ("opcua", 1, shifted),
-        ("opcua", 1, another_answer),
+        ("opcua", PLAIN, shifted),
+        ("opcua", PLAIN, another_answer),
         ("sinumerik", SLOPED, tilted),
         ("opcua", TOOLS, set_elsewhere),
+        ("opcua", EXPANDING, another_temperature),
+        ("focas", BY_PLACE, another_slope),
     ],
 )
 async def test_the_judge_sees_a_tool_that_is_moved_wrongly(

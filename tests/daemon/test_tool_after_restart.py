@@ -1,8 +1,8 @@
-"""What a tool's setting and its expansion count from when the daemon was restarted, or no label has spoken yet."""
+"""What a tool's expansion counts from when the daemon was restarted, no label has spoken yet, or it is set."""
 
 import pytest
 from control_rig import Bench, Rig, running
-from nc_requests import TOOL_CHANGE, ask, requesting_bench, tool_2_set
+from nc_requests import REFERENCE, TOOL_CHANGE, Y_AXIS, Z_AXIS, answer, ask, requesting_bench, tool_2_set
 
 from config.schema.compensation import ToolTermConfig
 
@@ -144,6 +144,24 @@ async def test_a_count_that_is_vacant_for_a_while_tells_nothing(tmp_path):
         assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(4.0, abs=0.11)
 
 
+@pytest.mark.parametrize("count", [0.0, 39.0, 40.5, 80.0, 1e9])
+async def test_a_count_that_somebody_has_typed_or_that_begins_again_brings_no_tool(tmp_path, count):
+    """Before, the tool counted as one that had just come, and went back by its expansion, in ACTIVE."""
+    bench = counting_bench(tmp_path)
+    async with running(bench.rig()) as rig:
+        await warmed(rig)
+        bench.nc.macros.set(561, count)
+        await let_pass(rig, 60.0, 5.0)
+        assert rig.state == "HOLD" and "no estimate for axis z" in rig.control.memory.reason
+        assert rig.applied["z"] == pytest.approx(14.0, abs=0.11)
+        bench.nc.macros.set(561, 7.0)
+        await let_pass(rig, 60.0, 5.0)
+        assert rig.state == "HOLD", "nor does one that is set right again"
+        bench.nc.macros.set(561, 8.0)
+        await let_pass(rig, 60.0, 5.0)
+        assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(4.0, abs=0.11), "a tool has come"
+
+
 @pytest.mark.parametrize("held_s", [0.0, 30.0, 55.0])
 async def test_a_tool_that_came_while_the_daemon_was_away_counts_right_though_a_sensor_missed_the_first_cycles(
     tmp_path, held_s
@@ -253,3 +271,18 @@ async def test_the_tool_that_the_program_has_named_is_known_after_a_restart(tmp_
         await rig.follow(0.0, -12.0, 10)
         assert rig.state == "HOLD" and "shows T2, and the NC program has named T1" in rig.control.memory.reason
         assert rig.control._measured.tool.number == 1
+
+
+@pytest.mark.parametrize(("axis", "counts_on"), [(Y_AXIS, True), (Z_AXIS, False)])
+async def test_a_tool_that_is_set_goes_on_expanding_along_an_axis_on_which_it_was_not(tmp_path, axis, counts_on):
+    """Before, a setting on Y let the expansion along Z begin anew: the tool went back by all of it, in ACTIVE."""
+    bench = expanding_bench(tmp_path)
+    async with running(bench.rig()) as rig:
+        await warmed(rig)
+        ask(bench, 1, REFERENCE, axis)
+        await let_pass(rig, 60.0, 5.0)
+        assert answer(bench) == 1.0 and rig.state == "ACTIVE"
+        assert rig.applied["z"] == pytest.approx(14.0, abs=0.11), "nothing has gone on since"
+        assert (rig.control._references.memory.record.tool is None) is counts_on
+        await let_pass(rig, 60.0, 6.0)
+        assert rig.applied["z"] == pytest.approx(16.0, abs=0.11)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from cnc_program import PROBES, Block
-from cnc_wire import COUNTED, RUN_CODES, as_it_comes
+from cnc_wire import COUNTED, RUN_CODES, TOOLS_COUNTED, as_it_comes
 from nc_requests import ACKNOWLEDGE, AXIS, COUNTER, KIND, VALUE
 
 from drivers.sim.nc.custom_macro import MacroControl
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 BLOCK = (500, 501, 502, 503, 120, 504, 505, 506)
 ECHO = (511, 512, 513, 514, 515, 516)
-MEMORY = tuple(range(590, 597))
+MEMORY = tuple(range(590, 598))
 REQUESTS = (COUNTER, KIND, AXIS, VALUE, ACKNOWLEDGE)
 
 
@@ -53,7 +53,7 @@ def restored(shop: Shop) -> None:
 
 def hand(shop: Shop) -> None:
     """An operator adds to the external offset."""
-    axis = shop.rng.choice(list(shop.machine.places))
+    axis = shop.rng.choice(shop.machine.offsets if shop.placed else list(shop.machine.places))
     um = shop.rng.choice([0.5, -5.0, 20.0])
     shop.nc.guard.change_own_offset(axis, um)
     shop.judge.by_hand[axis] += um
@@ -185,6 +185,18 @@ def another_offset(shop: Shop) -> None:
     shows("work_offset", *values)(shop)
 
 
+def another_tool(shop: Shop) -> None:
+    """A tool comes that the program has not called for, and goes again, as where a person looks at an edge."""
+    usual = shop.nc.tool_number
+    shop.change_tool(5)
+    shop.undo.append((shop.turn_number + shop.rng.randrange(1, 12), lambda: shop.change_tool(usual)))
+
+
+def nose_silent(shop: Shop) -> None:
+    """No sensor of the nose is heard for a while."""
+    shop.nose_silent = shop.rng.randrange(4, 100)
+
+
 def refuses(shop: Shop) -> None:
     """The control refuses a macro variable for a while."""
     responder = shop.served.server.responder
@@ -274,6 +286,12 @@ def counter_reset(shop: Shop) -> None:
     shop.nc.macros.set(COUNTED, shop.rng.choice([0.0, None, counted - 1.0, counted + 1.0]))
 
 
+def tool_counter_reset(shop: Shop) -> None:
+    """The counter of tool changes begins again, or somebody types into it."""
+    counted = shop.nc.macros.get(TOOLS_COUNTED) or 0.0
+    shop.nc.macros.set(TOOLS_COUNTED, shop.rng.choice([0.0, None, counted - 1.0, counted + 0.5, counted + 40.0]))
+
+
 def another_modal(shop: Shop) -> None:
     """The program calls the guard in increments, with cutter compensation or in a canned cycle; a test of a program."""
     control = shop.nc.guard.control
@@ -322,7 +340,10 @@ EVENTS: dict[str, Callable[[Shop], None]] = {
     "another work offset": another_offset,
     "another run state": shows("run", *RUN_CODES),
     "another block": shows("sequence_number", 900, 20),
-    "another tool": shows("tool_number", 5),
+    "another tool": another_tool,
+    "another tool again": another_tool,
+    "nose silent": nose_silent,
+    "nose silent again": nose_silent,
     "macro refused": refuses,
     **dict.fromkeys(("jump", "jump again", "jump then"), jump),
     "probe": probes,
@@ -335,6 +356,7 @@ EVENTS: dict[str, Callable[[Shop], None]] = {
     "another mode": another_mode,
     "guard in MDI": guard_in_mdi,
     "part counter reset": counter_reset,
+    "tool counter reset": tool_counter_reset,
     "another modal": another_modal,
 }
 ONLY = {"macro refused": ("focas", "haas")}

@@ -11,7 +11,7 @@ import random
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,8 @@ import numpy as np
 from cnc_events import EVENTS, ONLY
 from cnc_machines import PROVED, RETREATS, bench_of, some_machine
 from cnc_program import ATTACKED, BEFORE, CALM, Block, Judge, PartProgram
-from cnc_wire import COUNTED, Served, serving
-from control_rig import SENSOR_IDS, Rig, record_for, running
+from cnc_wire import COUNTED, TOOLS_COUNTED, Served, serving
+from control_rig import SENSOR_IDS, TURN_S, Rig, record_for, running
 from guard_bench import KeptTable
 from memory_cnc import MemoryNc
 from nc_requests import ACKNOWLEDGE, AXIS, COUNTER, KIND, VALUE
@@ -36,6 +36,9 @@ from models.records import CncRun, Reference
 
 FIRST_FASTER = 12.0
 """The thermal error goes so much faster while nothing is wrong yet, so that some um are applied."""
+NOSE_FIRST_FASTER = 20.0
+NOSE_HELD_S = 20.0
+"""The last temperature of the nose counts for so long when no other comes [s]."""
 WRONG_UM = 1.0
 LONGEST_WRONG = 45
 """So many turns the output may need for the way back, at its slew, while it says that it follows."""
@@ -55,8 +58,19 @@ class Shop:
         self.zero_first = self.rng.random() < 0.25
         self.many_tools, self.many_works = self.rng.random() < 0.4, self.rng.random() < 0.3
         self.siemens = served.dialect == "sinumerik"
-        self.machine = some_machine(self.rng, slopes=self.siemens)
+        self.machine = some_machine(self.rng, slopes=served.dialect != "haas")
+        self.placed = "z_slope" in self.machine.places and not self.siemens
+        tools = random.Random(f"{served.dialect} {seed} tools")
+        self.tools_expand = tools.random() < 0.5
+        self.counts_tools = self.tools_expand and (self.tells != "handshake" or tools.random() < 0.5)
+        if self.tools_expand:
+            self.machine = replace(self.machine, grows_um_per_k={"z": tools.choice((-3.3, 3.3))})
+            self.many_tools |= tools.random() < 0.6
+        self.warms_k = tools.choice((-1, 1)) * tools.uniform(0.001, 0.005)
+        """By how much the nose warms in a turn."""
         reference: dict[str, Any] = {"positioning_counter": COUNTED} if self.tells == "counter" else {}
+        if self.counts_tools:
+            reference["tool_counter"] = TOOLS_COUNTED
         if self.zero_first:
             reference |= {"policy": "zero_first", "retreat_sequence_numbers": [RETREATS]}
         bench = self.bench = bench_of(self.machine, directory, **reference)
@@ -68,7 +82,7 @@ class Shop:
         if not self.siemens:
             nc.guard = SafePointApplication(reached.macros, compensation.outputs, reached.guard)
         nc.macros = KeptTable() if self.siemens else nc.macros
-        for number in (COUNTER, KIND, AXIS, VALUE, ACKNOWLEDGE, COUNTED):
+        for number in (COUNTER, KIND, AXIS, VALUE, ACKNOWLEDGE, COUNTED, TOOLS_COUNTED):
             nc.macros.set(number, 0.0)
         nc.guard.initialise(nc.macros, nc.clock_s)
         self._begin_timer(nc.clock_s)
@@ -83,6 +97,11 @@ class Shop:
         self.rig: Rig | None = None
         self.at_reference: dict[str, dict[str, float]] = {}
         """Thermal error at each reference [um]."""
+        self.degc_at_reference: dict[str, float] = {}
+        self.nose_silent = 0
+        """Turns for which no sensor of the nose will be heard."""
+        self.nose_heard = (0, self.judge.degc)
+        """Turn and temperature when one was heard last."""
         self.answers: list[tuple[int, ReferenceRequest]] = []
         """References that the estimation sets, each with its turn."""
         self.slow = 0
@@ -118,8 +137,24 @@ class Shop:
     @property
     def traits(self) -> str:
         """What kind of shop this is, in words."""
-        named = {"zero first": self.zero_first, "many tools": self.many_tools, "many works": self.many_works}
+        named = {
+            "zero first": self.zero_first,
+            "many tools": self.many_tools,
+            "many works": self.many_works,
+            "tools expand": self.tools_expand,
+            "slope by place": self.placed,
+        }
         return f"{dict(self.machine.factors)} {[name for name, is_so in named.items() if is_so]}"
+
+    def change_tool(self, number: int, *, named: bool = False) -> None:
+        """Another tool comes into the spindle, at the temperature at which it is as long as it was measured.
+
+        `named`: the program names it, and would not name one that had stayed.
+        """
+        if number == self.nc.tool_number and not named:
+            return
+        self.nc.tool_number, self.judge.cold_degc = number, self.judge.degc
+        self.nc.macros.set(TOOLS_COUNTED, (self.nc.macros.get(TOOLS_COUNTED) or 0.0) + 1.0)
 
     def applied(self) -> dict[str, float]:
         return {axis: round(self.nc.guard.applied_um[axis], 2) for axis in self.machine.places}
@@ -167,6 +202,7 @@ class Shop:
         for message in rig.asked[self.heard :]:
             if isinstance(message, ReferenceRequest):
                 self.at_reference[message.reference_id] = dict(self.judge.error)
+                self.degc_at_reference[message.reference_id] = self.judge.degc
                 self.answers.append((self.turn_number + self.slow, message))
         self.heard = len(rig.asked)
         rig.alive()
@@ -189,20 +225,33 @@ class Shop:
         if then is None:
             return rig.estimate(math.nan, math.nan, reference_id=None, channels=self.machine.channels)
         gone = (self.judge.error[axis] - then[axis] for axis in self.machine.places)
-        return rig.estimate(*gone, reference_id=kept_id, channels=self.machine.channels)
+        heard, degc = self.nose_heard
+        silent_s = TURN_S * (self.turn_number - heard)
+        nose = {"A": degc - self.degc_at_reference[kept_id or ""]} if silent_s <= NOSE_HELD_S else {}
+        return rig.estimate(
+            *gone,
+            reference_id=kept_id,
+            channels=self.machine.channels,
+            label_increment_degc=nose,
+            held_s=silent_s if nose else 0.0,
+        )
 
     async def turn(self) -> None:
         """Half a second."""
         self.turn_number += 1
         now = self.turn_number
-        self.bench.clock.monotonic_s += 0.5
+        self.bench.clock.monotonic_s += TURN_S
         if BEFORE // 2 <= now < BEFORE + ATTACKED + CALM // 2:
             times = FIRST_FASTER if now < BEFORE else 1.0
             for axis, um in self.slopes.items():
                 self.judge.error[axis] += um * times
+            self.judge.degc += self.warms_k * (NOSE_FIRST_FASTER if now < BEFORE else 1.0)
             if self.rng.random() < 0.02:
                 axis = self.rng.choice(list(self.machine.places))
                 self.slopes[axis] = -self.slopes[axis]
+        self.nose_silent = max(self.nose_silent - 1, 0)
+        if not self.nose_silent:
+            self.nose_heard = (now, self.judge.degc)
         await self.program.go_on()
         self._go_wrong(now)
         if self.asleep:
@@ -235,7 +284,9 @@ class Shop:
         if self.attacked and now in self.plan:
             for _ in range(self.plan.count(now)):
                 name = self.rng.choice(list(EVENTS))
-                if self.served.dialect in ONLY.get(name, (self.served.dialect,)):
+                if self.served.dialect in ONLY.get(name, (self.served.dialect,)) and (
+                    not name.startswith("another tool") or self.counts_tools or not self.tools_expand
+                ):
                     self.said.append((now, name))
                     EVENTS[name](self)
         for at, undo in list(self.undo):

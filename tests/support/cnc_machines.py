@@ -1,21 +1,27 @@
-"""Machines of the random histories of a control: a mill, a lathe, and one whose Z error has a slope along the axis."""
+"""Machines of the random histories of a control: a mill, a lathe, and one whose Z error has a slope along the axis.
+
+The tools of some expand; a slope is the control's own, or the guard puts it in for where the axis stands.
+"""
 
 import random
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from control_rig import Bench
-from sloped_machine import FARTHEST_M, SLOPE, Z, proved
+from sloped_machine import FARTHEST_M, PIVOT_MM, SLOPE, Z, proved
 
 from config.records.commissioning import CommissionedAxis
-from config.schema.compensation import AxisConfig, CompensationConfig
+from config.schema.compensation import AxisConfig, CompensationConfig, ToolTermConfig
+from drivers.sim.nc.custom_macro import MacroControl
 from drivers.sim.nc.safe_point import SafePointApplication
 from drivers.sim.nc.sinumerik import SinumerikControl
 
 FACTORS = (1.0, 1.0, -1.0, 0.5)
 """Axes as they usually are, one that goes the other way, and one of diameters."""
+TOOL = ToolTermConfig(length_mm=300.0, temperatures={"A": 1.0})
+"""3.3 um per kelvin along Z."""
 RETREATS = 50
 """N number of the block at which the offset is taken out, under the policy zero_first."""
 
@@ -31,19 +37,23 @@ class Machine:
     channels: tuple[str, ...]
     factors: Mapping[str, float]
     """How far the tool goes along the axis for an offset of 1: half of it where diameters are programmed."""
+    grows_um_per_k: Mapping[str, float] = field(default_factory=dict)
+    """By how much the tool in the spindle moves its point as it warms, by axis."""
 
     @property
     def offsets(self) -> list[str]:
         """Axes that take an offset."""
         return [axis for axis in self.places if not axis.endswith("_slope")]
 
-    def register_um(self, guard: SafePointApplication, axis: str) -> float:
-        """Return what the control's own register holds of an axis [um], of a slope [um/m]."""
+    def register_um(self, guard: SafePointApplication, axis: str, slope_um: float = 0.0) -> float:
+        """Return what the control's own register holds of an axis [um], of a slope [um/m].
+
+        `slope_um`: how much of the offset a guard that was called away from the pivot has put in there for the slope.
+        """
         place, control = self.places[axis], guard.control
         if axis in self.offsets:
-            return 1000.0 * control.external_mm[place]
-        assert isinstance(control, SinumerikControl)
-        return 1e6 * control.slopes[place]
+            return 1000.0 * control.external_mm[place] - (slope_um * from_pivot_m(guard) if slope_um else 0.0)
+        return 1e6 * control.slopes[place] if isinstance(control, SinumerikControl) else slope_um
 
     def commissioned(self) -> dict[str, CommissionedAxis]:
         """Return what a person has seen the axes do."""
@@ -62,6 +72,14 @@ class Machine:
 
 
 PROVED = CommissionedAxis(sign=1, scale=1.0, written_um=10.0, measured_um=10.0)
+
+
+def from_pivot_m(guard: SafePointApplication) -> float:
+    """Return how far from the pivot of its slope Z stands, on a control without slopes [m]."""
+    assert isinstance(guard.control, MacroControl)
+    at_mm = guard.control.positions_mm[2]
+    assert at_mm is not None
+    return (at_mm - PIVOT_MM) / 1000.0
 
 
 def some_machine(rng: random.Random, *, slopes: bool) -> Machine:
@@ -99,6 +117,9 @@ def bench_of(machine: Machine, directory: Path, **reference: Any) -> Bench:
         }
         values, echoes = dict(zip(axes, (502, 503), strict=True)), dict(zip(axes, (512, 513), strict=True))
         macros = macros.model_copy(update={"values": values, "echo_applied": echoes})
+    if "z" in machine.grows_um_per_k:
+        tool = TOOL.model_copy(update={"direction": 1 if machine.grows_um_per_k["z"] > 0.0 else -1})
+        axes["z"] = axes["z"].model_copy(update={"tool_term": tool})
     compensation = CompensationConfig(
         axes=axes,
         reference=given.compensation.reference.model_copy(update=reference),

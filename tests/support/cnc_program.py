@@ -12,11 +12,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from cnc_machines import RETREATS, Machine, farthest_um
+from cnc_machines import RETREATS, Machine, farthest_um, from_pivot_m
 from cnc_wire import COUNTED
 from memory_cnc import MemoryNc
 from nc_requests import ACKNOWLEDGE, AXIS, COUNTER, KIND, PROBE, REFERENCE, TOOL_CHANGE, VALUE
 
+from drivers.sim.nc.custom_macro import MacroControl
 from drivers.sim.nc.safe_point import SafePointApplication
 from models.records import CncRun
 
@@ -30,6 +31,10 @@ PROBES, CHANGES, SETS, OTHER_WORK = 60, 70, 80, 90
 WORKS = (54, 55)
 """Work offsets of the program that has two."""
 TOOLS = (1, 2, 3)
+ECHO_SLOPED = (512, 513)
+"""Macros of what is applied of Z and of its slope [mm]."""
+STANDS_MM = (0.0, 100.0, 400.0, 500.0)
+"""Where Z stands when the guard is called, on a machine with a slope."""
 WAITS = 24
 """Turns for which the program waits for an answer."""
 LONGEST_RETREAT = 90
@@ -49,6 +54,12 @@ class Judge:
     """Where it stood when the work was positioned, by work offset."""
     set: dict[int, dict[str, float]] = field(default_factory=dict)
     """Where each tool stood when it was set, on the axes that it was set on."""
+    degc: float = 20.0
+    """Of the spindle's nose, and of the tool in it."""
+    cold_degc: float = 20.0
+    """The same when that tool came, was set or stood where the work was positioned."""
+    slope_um: float = 0.0
+    """What the guard has put into the offset at a metre from the pivot, of a control that has no slopes [um/m]."""
     moves: int = 0
     largest: float = 0.0
     _stood: dict[str, float] = field(default_factory=dict)
@@ -60,12 +71,17 @@ class Judge:
     def tool(self, guard: SafePointApplication) -> dict[str, float]:
         """Return where the tool stands, from the control's registers."""
         return {
-            axis: self.error[axis] + factor * (self.machine.register_um(guard, axis) - self.by_hand[axis])
+            axis: self.error[axis] + factor * (self._register_um(guard, axis) - self.by_hand[axis])
             for axis, factor in self.machine.factors.items()
         }
 
+    def grown(self) -> dict[str, float]:
+        """Return how far the tool in the spindle has expanded, by axis."""
+        return {axis: um * (self.degc - self.cold_degc) for axis, um in self.machine.grows_um_per_k.items()}
+
     def positioned(self, nc: MemoryNc) -> None:
         """The program has just positioned the work of the active work offset, and so the tool in the spindle."""
+        self.cold_degc = self.degc
         now = self.then[nc.work_offset] = self.tool(nc.guard)
         if (here := self.set.get(nc.tool_number)) is not None:
             self.set[nc.tool_number] = {axis: now[axis] for axis in here}
@@ -83,7 +99,8 @@ class Judge:
         if then is None:
             return None
         then = then | self.set.get(nc.tool_number, {})
-        return {axis: now[axis] - then[axis] for axis in self.machine.places}
+        grown = self.grown()
+        return {axis: now[axis] - then[axis] + grown.get(axis, 0.0) for axis in self.machine.places}
 
     def off_um(self, nc: MemoryNc, axes: Sequence[str]) -> float:
         """Return the same without sign, of the worst of these axes."""
@@ -92,9 +109,20 @@ class Judge:
 
     def look(self, guard: SafePointApplication) -> None:
         """Count a motion."""
-        register = {axis: self.machine.register_um(guard, axis) for axis in self.machine.places}
+        register = {axis: self._register_um(guard, axis) for axis in self.machine.places}
         self.moves += bool(self._stood) and register != self._stood
         self._stood = register
+
+    def called(self, nc: MemoryNc) -> None:
+        """Take the slope that a guard says it has put into the offset, when the register says so too."""
+        macros, guard = nc.macros, nc.guard
+        echo_z, echo_slope = (1000.0 * (macros.get(number) or 0.0) for number in ECHO_SLOPED)
+        applied_um = 1000.0 * guard.control.external_mm[self.machine.places["z"]] - self.by_hand["z"]
+        if abs(echo_z + echo_slope * from_pivot_m(guard) - applied_um) < 0.25:
+            self.slope_um = echo_slope
+
+    def _register_um(self, guard: SafePointApplication, axis: str) -> float:
+        return self.machine.register_um(guard, axis, self.slope_um)
 
 
 @dataclass(slots=True)
@@ -115,6 +143,7 @@ class PartProgram:
         """Counter of the request whose answer is waited for, 0: none."""
         self.set_at: dict[str, float] = {}
         """Where the tool that is being set stood when the program asked, on the axis that it is set on."""
+        self.set_degc = 20.0
         self.broken_after: int | None = None
         """RESET after so many blocks of the next guard."""
         self.watched_after: int | None = None
@@ -129,7 +158,7 @@ class PartProgram:
 
     def _part(self) -> list[Block]:
         retreat = [Block(RETREATS, LONGEST_RETREAT)] if self.shop.zero_first else []
-        return [*retreat, Block(100, 5), *self._cuts()]
+        return [*retreat, *([Block(900, 2)] if self.shop.placed else []), Block(100, 5), *self._cuts()]
 
     def _cuts(self) -> list[Block]:
         cuts = (Block(self.rng.choice((20, 30, 40)), self.rng.randrange(1, 5)) for _ in range(self.rng.randrange(3, 9)))
@@ -199,7 +228,7 @@ class PartProgram:
     def _change_tool(self) -> None:
         """Another tool comes into the spindle; where the program hands over what it does, it names it."""
         nc = self.shop.nc
-        nc.tool_number = self.rng.choice(TOOLS)
+        self.shop.change_tool(self.rng.choice(TOOLS), named=self.shop.tells == "handshake")
         self.shop.said.append((self.shop.turn_number, f"T{nc.tool_number} comes"))
         if self.shop.tells == "handshake":
             self._ask(TOOL_CHANGE, value_mm=float(nc.tool_number))
@@ -209,6 +238,7 @@ class PartProgram:
         machine = self.shop.machine
         axis = self.rng.choice(machine.offsets)
         self.set_at = {axis: self.shop.judge.tool(self.shop.nc.guard)[axis]}
+        self.set_degc = self.shop.judge.degc
         self._ask(REFERENCE, machine.numbers[axis] + 1)
 
     def _ask(self, kind: int, axis: int = 0, value_mm: float = 0.0) -> None:
@@ -228,6 +258,8 @@ class PartProgram:
             if self.block.number == SETS and answer > 0.0:
                 number = self.shop.nc.tool_number
                 judge.set[number] = judge.set.get(number, {}) | self.set_at
+                if self.set_at.keys() & judge.machine.grows_um_per_k.keys():
+                    judge.cold_degc = self.set_degc
                 self.shop.said.append((self.shop.turn_number, f"T{number} set {self.set_at}"))
             self.asked, self.block.turns = 0, 1
         elif self.block.turns <= 1:
@@ -235,7 +267,22 @@ class PartProgram:
             self.asked = 0
 
     async def _call_guard(self) -> None:
+        """Call the guard, where there is a slope at another place now and then; go there only with what it needs."""
+        nc, control = self.shop.nc, self.shop.nc.guard.control
+        if self.shop.placed and isinstance(control, MacroControl) and self.rng.random() < 0.5:
+            stood_mm, held_mm = control.positions_mm[2], control.external_mm[2]
+            control.positions_mm[2] = self.rng.choice(STANDS_MM)
+            await self._run_guard()
+            if control.external_mm[2] == held_mm:
+                control.positions_mm[2] = stood_mm
+        await self._run_guard()
+        if self.shop.placed:
+            self.shop.judge.called(nc)
+
+    async def _run_guard(self) -> None:
         nc = self.shop.nc
+        if nc.run is CncRun.RESET:
+            return
         interpreter = nc.guard.at(nc.macros, nc.clock_s)
         interpreter.start(nc.guard.programs.guard)
         blocks = 0

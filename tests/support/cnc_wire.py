@@ -22,6 +22,8 @@ PATIENCE_S = 0.3
 """Of the driver, in real time: a wire that is held back costs so much [s]."""
 COUNTED = 560
 """Macro that the program raises before every positioning, where it counts them."""
+TOOLS_COUNTED = 561
+"""Macro in which the control counts tool changes."""
 RUN_CODES = {CncRun.RESET: 0, CncRun.STOP: 1, CncRun.HOLD: 2, CncRun.START: 3}
 STATE = ("mode", "run", "alarm", "program", "sequence_number", "clock", "power_on_count", "work_offset", "tool_number")
 OPC_UA: dict[str, dict[str, Any]] = {
@@ -160,7 +162,9 @@ class Served:
         self.face.nc = bench.nc
         config = self.section(bench, 1)
         if self.dialect in OPC_UA:
-            self.server = SimulatedCncServer(cast(SimulatedNc, self.face), config, port=0, readable=[COUNTED])
+            self.server = SimulatedCncServer(
+                cast(SimulatedNc, self.face), config, port=0, readable=[COUNTED, TOOLS_COUNTED]
+            )
         else:
             self.server = SERVERS[self.dialect](self.face, config, port=0)
         await self.server.start()
