@@ -48,7 +48,7 @@ TIMES ?= 60
 histories: $(VENV)/.installed-dev
 	$(PYTEST) --dist load -m slow --histories $(TIMES) \
 	  tests/daemon/test_truth_of_combined_faults.py tests/daemon/test_truth_after_bad_input.py \
-	  tests/daemon/test_cnc_histories.py
+	  tests/daemon/test_cnc_histories.py tests/daemon/test_truth_of_spindle_speed.py
 	$(PYTEST) --histories $(TIMES) tests/models/test_compensation_truth.py
 
 # Kills, power cuts, full disks, clocks that are set, lost wires, on real processes and wires; about an hour and a half.

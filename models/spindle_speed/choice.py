@@ -140,6 +140,8 @@ def deepest_speed(
 ) -> SpeedChoice | None:
     """Return the speed that bears most within the tolerance to both sides, for when none bears depth and margin.
 
+    Its pocket bears the depth within the tolerance too.
+
     None when even there the limiting depth is below the programmed one.
 
     The parameters are those of `choose_speed`; the margin of the demand is not asked for.
@@ -151,10 +153,12 @@ def deepest_speed(
     place = int(inside[np.argmax(worst[inside])])
     if depths[place] < demand.depth_mm:
         return None
+    meets = worst >= demand.depth_mm
+    meets[place] = True
     return SpeedChoice(
         speed_rpm=float(speeds[place]),
         limiting_depth_mm=float(depths[place]),
-        pocket_rpm=_pocket(speeds, depths >= demand.depth_mm, place),
+        pocket_rpm=_pocket(speeds, meets, place),
         margin_met=False,
     )
 

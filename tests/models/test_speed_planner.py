@@ -82,6 +82,8 @@ def test_without_the_margin_the_deepest_speed_is_taken_and_without_the_depth_non
     assert not choice.margin_met
     assert choice.limiting_depth_mm >= 0.95 * deepest_mm
     assert choice.pocket_rpm[0] <= choice.speed_rpm <= choice.pocket_rpm[1]
+    ends_mm = [least_depth_mm(lobes, end, OPERATION.demand.tolerance_fraction) for end in choice.pocket_rpm]
+    assert min(ends_mm) >= tight.demand.depth_mm, "a spindle that cuts within the tolerance of an end is stable too"
     beyond = replace(OPERATION, demand=replace(OPERATION.demand, depth_mm=1.05 * deepest_mm))
     none = SpeedPlanner(beyond, lobes_of).plan(known_at(620.0, 680.0)).choice
     assert not none.stable

@@ -57,6 +57,7 @@ class SpeedRig:
 
     def __init__(self, folder: Path, *, model: Any = None, **changes: Any) -> None:
         (folder / "bearings.json").write_text(model_to_json(model or bearing_model()), encoding="utf-8")
+        self.folder = folder
         configuration, clock = speed_machine(folder, **changes), HandClock()
         self.configuration, self.clock = configuration, clock
         self.nc = MemoryNc(configuration, clock)
