@@ -15,6 +15,7 @@ JUDGED_FROM_UM = 5.0
 """An axis whose uncompensated error stays below this is not judged [um]."""
 DRAIN_S = 3.0
 """Wall time that the daemon gets for the last cycles."""
+SPEED_KEYS = ("state", "programmed_rpm", "commanded_rpm", "applied_rpm", "limiting_depth_mm", "alarm")
 SEEN_KEPT = 720
 DIFFERING_SHARE = 0.01
 """Share of the cycles of `temperatures.sources` by which their number may differ where the clock is fast: two that a
@@ -113,6 +114,7 @@ def result(
             for part in ("feedback", "total")
         },
         "error_um": errors,
+        "spindle_speed": status["spindle_speed"] and {key: status["spindle_speed"][key] for key in SPEED_KEYS},
     }
     missing = numbers["cycles"]["expected"] - numbers["cycles"]["received"]
     lost = [] if -may_differ(final) <= missing <= may_differ(final) else [_not_arrived(numbers["cycles"])]

@@ -37,6 +37,8 @@ MOST_LEADS = 4
 LOADED_WITHIN_S = 60.0
 REQUEST_REAL_S = 2.0
 """A request of the NC program waits at least this long for its answer [s of the wall clock]."""
+PLANNED_REAL_S = 5.0
+"""The spindle speed may follow dynamics that are this old [s of the wall clock]."""
 LOOK_AHEAD = 1.5
 """The guard accepts blocks this much longer than they are written for, polls included."""
 POSITIONING_S = 15.0
@@ -100,6 +102,8 @@ def write_simulation_configuration(
     base["cnc"]["guard"]["max_validity_s"] = max(120.0, LOOK_AHEAD * (output["validity_s"] + slowest_poll_s))
     output["stale_after_s"] = min(max(60.0, speed), 300.0)
     output["alarm_after_s"] = 300.0
+    if tuning := base.get("spindle_speed"):
+        tuning |= {"validity_s": output["validity_s"], "stale_after_s": max(60.0, PLANNED_REAL_S * speed)}
     base["history"] = {"path": str(directory / "history.sqlite")}
     base["service"] = {"socket": str(directory / "control.sock"), "http_port": http_port, "log_level": "info"}
     path = directory / "toolpoint.yaml"

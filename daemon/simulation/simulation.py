@@ -15,6 +15,7 @@ from daemon.simulation import SimulationError
 from drivers.clock import ScaledClock
 from drivers.contract import DriverError
 from drivers.files.recording_csv import read_recording
+from drivers.guard.speed_text import speed_program
 from drivers.sim.contract import SimulatedMachine
 from drivers.sim.faults import Fault, check_targets, load_faults
 from drivers.sim.machine.day import Day
@@ -23,6 +24,7 @@ from drivers.sim.machine.packs import PackedMachine, load_pack_script
 from drivers.sim.machine.recorded import RecordedMachine
 from drivers.sim.machine.travel import axis_travels
 from drivers.sim.nc.program import demo_program, standing_program
+from drivers.sim.nc.safe_point import SafePointApplication, SpeedProgram
 from drivers.sim.wires.opcua_server import ServerSecurity
 from drivers.sim.wires.runner import Witness, run_simulated_machine
 from drivers.sim.wires.source_wires import as_simulated
@@ -120,12 +122,21 @@ def simulated_day(
         Day.draw(DEMO_SEED if seed is None else seed, start="cold"),
         standing_program() if standing else demo_program(),
         [as_simulated(sensor) for sensor in configuration.temperatures.every_sensor],
-        configuration.cnc.macros,
-        configuration.compensation.outputs,
-        configuration.cnc.guard,
+        SafePointApplication(
+            configuration.cnc.macros,
+            configuration.compensation.outputs,
+            configuration.cnc.guard,
+            _speed_program(configuration),
+        ),
         travels=axis_travels(configuration),
     )
     return Simulation(machine=machine, configuration=configuration, clock=clock)
+
+
+def _speed_program(configuration: Configuration) -> SpeedProgram | None:
+    if (tuning := configuration.spindle_speed) is None:
+        return None
+    return SpeedProgram(number=tuning.program, text=speed_program(configuration), macros=tuning.macros)
 
 
 def packed_simulation(configuration: Configuration, clock: ScaledClock, path: Path, report: Report) -> Simulation:
@@ -141,8 +152,7 @@ def packed_simulation(configuration: Configuration, clock: ScaledClock, path: Pa
         Day.draw(DEMO_SEED, start="cold"),
         standing_program(),
         configuration.temperatures.sensors,
-        configuration.cnc.macros,
-        configuration.compensation.outputs,
+        SafePointApplication(configuration.cnc.macros, configuration.compensation.outputs),
     )
     packed = PackedMachine(machine, script, line.name, clock, report)
     return Simulation(machine=packed, configuration=configuration, clock=clock, witness=packed)

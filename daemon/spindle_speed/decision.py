@@ -27,6 +27,7 @@ FEED_DECIMALS, FEED_DIGITS = 2, 7
 """Feeds are whole hundredths [mm/min], as the check counts them; below 10 they have this many significant digits."""
 
 
+PLANNING = "no dynamics for this operation yet"
 KEPT_S = 3600.0
 """A speed this old says nothing about the spindle of now: the operation then begins anew [s]."""
 MOST_OPERATIONS = 50
@@ -211,7 +212,7 @@ class SpeedDecision:
         if self._worker.inhibit:
             return None, self._worker.inhibit
         if planned is None or planned.called != operation.called:
-            return None, "no dynamics for this operation yet"
+            return None, PLANNING
         if now_s - planned.time_s > self._tuning.stale_after_s:
             return planned, f"no temperatures for {self._tuning.stale_after_s:g} s; the speed is frozen"
         if planned.problem:

@@ -14,7 +14,7 @@ from daemon.cnc.interlocks import Interlocks
 from daemon.cnc.session import CncSession
 from daemon.snapshots import SpindleSpeedSnapshot
 from daemon.spindle_speed.calls import SpeedCalls, SpeedOperation
-from daemon.spindle_speed.decision import OperationMemories, OperationState, SpeedDecision, SpeedSwitch
+from daemon.spindle_speed.decision import PLANNING, OperationMemories, OperationState, SpeedDecision, SpeedSwitch
 from daemon.spindle_speed.macro_block import DISABLED, MacroValues, SpeedBlock, SpeedPair
 from daemon.spindle_speed.messages import PlannedSpeed
 from daemon.spindle_speed.planner_process import SpeedWorker
@@ -278,7 +278,8 @@ class Follower:
         if command is not None and from_rpm != to_rpm:
             word = "jumps" if command.jump else "moves"
             self._journal.say("speed", f"{word} from {from_rpm:.0f} to {to_rpm:.0f} 1/min: {command.reason}")
-        if now.alarm and NUMBERS.sub("~", now.alarm) != NUMBERS.sub("~", before.alarm):  # its numbers may run on
+        runs_on = NUMBERS.sub("~", now.alarm) == NUMBERS.sub("~", before.alarm)
+        if now.alarm and now.alarm != PLANNING and not runs_on:
             self._journal.say("alarm", f"spindle speed: {now.alarm}")
 
     # --- showing -------------------------------------------------------------------------

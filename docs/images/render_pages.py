@@ -1,4 +1,4 @@
-"""Draws docs/images/overview.png and temperatures.png anew: runs the demonstration and photographs its pages.
+"""Draws docs/images/overview.png and dynamics.png anew: runs the demonstration and photographs its pages.
 
 From the repository: `.venv/bin/python -P docs/images/render_pages.py`. It takes three minutes, and Debian's
 chromium.
@@ -11,13 +11,13 @@ from pathlib import Path
 import click
 from playwright.sync_api import sync_playwright
 
-from daemon.cli.simulate.demo import demo_machine, page_address
+from daemon.cli.simulate.demo import demo_machine, page_address, tune_spindle_speed
 from daemon.simulation.demonstration import switch_on, watch
 from daemon.simulation.processes import folder_for, port_from, start_simulation, write_simulation_configuration
 
 FOLDER = Path(__file__).parent
 ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run"]
-PICTURES = (("overview", "light", 1280, 1290), ("temperatures", "dark", 1280, 1220))
+PICTURES = (("overview", "light", 1280, 1290), ("dynamics", "dark", 1280, 880))
 """Page, colours, width and height [pixel]."""
 
 
@@ -31,7 +31,9 @@ def draw(minutes: float, speed: float) -> None:
         raise click.ClickException("there is no chromium on this computer: apt install chromium")
     port = port_from(8080)
     with folder_for(None) as folder:
-        path, _ = write_simulation_configuration(demo_machine(), folder, speed=speed, http_port=port)
+        machine = demo_machine()
+        tune_spindle_speed(machine)
+        path, _ = write_simulation_configuration(machine, folder, speed=speed, http_port=port)
         with start_simulation([], path, speed=speed, epoch_utc_s=time.time(), directory=folder) as running:
             switch_on(running)
             watch(running, minutes * 60.0, lambda _: None, 5.0)

@@ -59,8 +59,9 @@ class SpeedTuningSettings:
         """
         if not self.hysteresis_rpm > 2.0 * change_per_step_rpm:
             raise SpeedTuningError(
-                f"one step of a sensor moves the speed by {change_per_step_rpm:.3g} 1/min and the hysteresis is "
-                f"{self.hysteresis_rpm:g}: the speed would hunt; set the hysteresis above {2 * change_per_step_rpm:.3g}"
+                f"one step of a sensor moves the speed by {change_per_step_rpm:.0f} 1/min and the hysteresis is "
+                f"{self.hysteresis_rpm:g}: the speed would hunt; set the hysteresis above "
+                f"{2 * change_per_step_rpm:.0f}, or cut less deep"
             )
 
 
@@ -179,6 +180,8 @@ def step(
         state, reason = SpeedState.HOLD, outside
     if due and inputs.phase is not Phase.SAFE_POINT and state is not SpeedState.OFF:
         reason = f"{reason}; waiting for a safe block"
+    elif state is SpeedState.TUNED and inputs.phase is Phase.CUTTING:
+        reason = f"{reason}; nothing changes within a cut"
     command = SpindleSpeedCommand(
         speed_rpm=memory.commanded_rpm,
         feed_mm_min=feed_mm_min(inputs, settings, memory.commanded_rpm),

@@ -45,6 +45,7 @@ def status_with(received: int, incomplete: int = 0, slowest_s: float | None = 0.
     delay = dict.fromkeys(("mean", "p50", "p99", "max"), slowest_s)
     return {
         "axes": {},
+        "spindle_speed": None,
         "cycles": {"received": received, "incomplete": incomplete},
         "estimates": 9,
         "writes": {"sent": 1, "verified": 1},

@@ -15,6 +15,7 @@ from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
 from drivers.sim.nc.nc_programs import MACRO_ALARM
 from drivers.sim.nc.program import SAFE, Block, PartProgram
+from drivers.sim.nc.safe_point import SafePointApplication
 
 REQUEST = RequestMacrosConfig(counter=520, kind=521, axis=522, value_mm=523, acknowledge=524)
 FLAG = 525
@@ -40,9 +41,7 @@ def machine(*, flag: bool = False, **guard: Any) -> CfrpMachine:
         Day.draw(5, start="cold"),
         PROGRAM,
         SENSORS,
-        MacroMapConfig.model_validate(maps),
-        AXES,
-        GuardConfig(**settings),
+        SafePointApplication(MacroMapConfig.model_validate(maps), AXES, GuardConfig(**settings)),
     )
 
 

@@ -12,6 +12,7 @@ from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
 from drivers.sim.nc.nc import ModeCode, RunCode
 from drivers.sim.nc.program import SAFE, Block, PartProgram, demo_program
+from drivers.sim.nc.safe_point import SafePointApplication
 
 MAP = MacroMapConfig(
     writable=["100-149", "500-549"],
@@ -49,7 +50,8 @@ SHORT = PartProgram(
 
 
 def machine(program: PartProgram | None = None, day: Day | None = None) -> CfrpMachine:
-    return CfrpMachine(day or Day.draw(5, start="cold"), program or demo_program(), SENSORS, MAP, AXES)
+    application = SafePointApplication(MAP, AXES)
+    return CfrpMachine(day or Day.draw(5, start="cold"), program or demo_program(), SENSORS, application)
 
 
 def ask(simulated: SimulatedMachine, **um: float) -> None:

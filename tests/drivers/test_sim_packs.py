@@ -12,6 +12,7 @@ from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
 from drivers.sim.machine.packs import PackedMachine, PackScript, PackScriptError, SensorOnPacks, load_pack_script
 from drivers.sim.nc.program import standing_program
+from drivers.sim.nc.safe_point import SafePointApplication
 
 SCRIPT = PackScript(
     sensor=5, ice_degc=2.0, hot_degc=42.0, lag_s=40.0, change_degc=0.1875, moves_s=(100.0, 400.0), macro=549
@@ -33,8 +34,7 @@ def packed(told):
         Day.draw(1, start="cold"),
         standing_program(),
         configuration.temperatures.sensors,
-        configuration.cnc.macros,
-        configuration.compensation.axes,
+        SafePointApplication(configuration.cnc.macros, configuration.compensation.axes),
     )
     line = next(line for line in configuration.temperatures.lines if SCRIPT.sensor in line.sensor_ids)
     clock = ScaledClock(epoch_real_s=0.0, epoch_utc_s=0.0, speed=1.0)

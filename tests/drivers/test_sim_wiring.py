@@ -7,6 +7,7 @@ from drivers.guard.check import block_check
 from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
 from drivers.sim.nc.program import standing_program
+from drivers.sim.nc.safe_point import SafePointApplication
 from drivers.sim.nc.wiring import STRAIGHT, Wiring
 
 MACHINE = shipped_machine()
@@ -18,8 +19,7 @@ def standing(wiring: Wiring = STRAIGHT) -> CfrpMachine:
         Day.draw(7, start="cold"),
         standing_program(),
         MACHINE.temperatures.sensors,
-        MACROS,
-        MACHINE.compensation.axes,
+        SafePointApplication(MACROS, MACHINE.compensation.axes),
         wiring=wiring,
     )
 

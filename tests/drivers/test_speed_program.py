@@ -7,9 +7,8 @@ from typing import Any
 import pytest
 import yaml
 from click.testing import CliRunner
-from speed_machine import MACROS, speed_machine
+from speed_machine import MACROS, in_dialect, speed_machine
 
-from config.schema import Configuration
 from daemon.cli import main
 from daemon.spindle_speed.macro_block import (
     DISABLED,
@@ -98,15 +97,6 @@ class SinumerikSpeedBench(SpeedBench):
 
 
 START = 9015
-
-
-def in_dialect(configuration: Configuration, dialect: str) -> Configuration:
-    """The machine as it would be with a control of this language."""
-    cnc = configuration.cnc
-    changed: dict[str, Any] = {"guard": cnc.guard.model_copy(update={"dialect": dialect})}
-    if dialect == "sinumerik":
-        changed["opcua"] = cnc.opcua.model_copy(update={"preset": "sinumerik", "namespace_uri": None})
-    return configuration.model_copy(update={"cnc": cnc.model_copy(update=changed)})
 
 
 BENCHES = (SpeedBench, SinumerikSpeedBench)

@@ -25,7 +25,7 @@ from daemon.history.series import WriteRecord
 from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
 from drivers.sim.nc.program import Block, PartProgram, standing_program
-from drivers.sim.nc.safe_point import simulated_guard
+from drivers.sim.nc.safe_point import SafePointApplication, simulated_guard
 from drivers.sim.nc.wiring import STRAIGHT, Wiring
 from drivers.sim.wires.runner import cnc_server
 from drivers.sim.wires.tcp_relay import TcpRelay
@@ -144,9 +144,7 @@ class Bench:
             Day.draw(7, start="cold"),
             program or standing_program(),
             self._described.temperatures.sensors,
-            self._described.cnc.macros,
-            self._described.compensation.outputs,
-            guard or self.guard,
+            SafePointApplication(self._described.cnc.macros, self._described.compensation.outputs, guard or self.guard),
             wiring=wiring,
         )
         self._origin_s = self.clock.now().monotonic_s

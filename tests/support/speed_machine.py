@@ -116,3 +116,12 @@ def speed_machine(folder: Path, **changes: Any) -> Configuration:
         }
     )
     return Configuration.model_validate(document.model_dump())
+
+
+def in_dialect(configuration: Configuration, dialect: str) -> Configuration:
+    """The machine as it would be with a control of this language."""
+    cnc = configuration.cnc
+    changed: dict[str, Any] = {"guard": cnc.guard.model_copy(update={"dialect": dialect})}
+    if dialect == "sinumerik":
+        changed["opcua"] = cnc.opcua.model_copy(update={"preset": "sinumerik", "namespace_uri": None})
+    return configuration.model_copy(update={"cnc": cnc.model_copy(update=changed)})

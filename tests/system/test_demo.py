@@ -1,5 +1,6 @@
 """The demonstration as a newcomer meets it: what stands there when it is over, whoever ended it, through a pipe too."""
 
+import json
 import os
 import signal
 import subprocess
@@ -59,8 +60,8 @@ def test_a_machine_that_stood_still_is_switched_on_again_and_ctrl_c_leaves_the_r
     tmp_path: Path,
 ) -> None:
     """A busy computer that stood still for twelve seconds left the demonstration off for good."""
-    words = ("demo", "--minutes", 6000, "--speed", 60, "--web-port", free_port(), "--directory", tmp_path)
-    with toolpoint(*words) as demo:
+    words = ("demo", "--minutes", 6000, "--speed", 60, "--web-port", free_port(), "--no-spindle-speed")
+    with toolpoint(*words, "--directory", tmp_path) as demo:
         wait_until(tmp_path, lambda status: status["output"]["state"] == "ACTIVE")
         simulator = simulator_of(demo.pid)
         os.kill(simulator, signal.SIGSTOP)
@@ -98,3 +99,19 @@ def test_without_a_view_and_with_sensors_on_another_wire_the_result_is_told_too(
         said = demo.communicate(timeout=PATIENCE_S)[1]
     assert "seen until 1 min of the machine's time; the output is A" in said and "writes read back and equal" in said
     assert "the pages were at" not in said
+
+
+def test_the_spindle_speed_follows_the_pockets_over_real_wires(tmp_path: Path) -> None:
+    """Sensors, bearings, lobes, verification, macros, the shipped NC program and the simulated spindle, as shipped."""
+    words = ("demo", "--headless", "--spindle-speed", "--minutes", 15, "--speed", 15, "--directory", tmp_path / "run")
+    with toolpoint(*words, "--json", tmp_path / "result.json") as demo:
+        said = demo.communicate(timeout=3 * PATIENCE_S)[1]
+    tuned = json.loads((tmp_path / "result.json").read_text("utf-8"))["spindle_speed"]
+    assert tuned["programmed_rpm"] == 12000.0, said
+    assert 10200.0 <= tuned["applied_rpm"] < 11500.0
+    assert tuned["limiting_depth_mm"] > 2.0
+    with HistoryReader(tmp_path / "run" / "history.sqlite") as reader:
+        events = [event.text for event in reader.events(0.0, 2.0**40) if event.kind == "speed"]
+        speeds_rpm = reader.cnc(0.0, 2.0**40).spindle_speed_rpm.tolist()
+    assert any(text.startswith("jumps from 12000 to ") for text in events)
+    assert tuned["applied_rpm"] in speeds_rpm

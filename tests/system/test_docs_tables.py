@@ -121,6 +121,7 @@ def test_the_demo_prints_the_keys_that_are_documented() -> None:
         "latency_s": {"feedback": delay, "total": delay},
         "written_axes": ["z"],
         "output": {"state": "ACTIVE", "reason": "following the estimate"},
+        "spindle_speed": None,
     }
     numbers, failures = result(final, status, 60.0, 5.0)
     assert failures == []

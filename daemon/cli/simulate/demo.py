@@ -58,6 +58,11 @@ CNC_WIRES = ("opcua", "focas", "haas", "sinumerik")
     default=SENSORS[0],
     help="What brings the temperatures: serial LATSIS lines, boxes that answer Modbus TCP, or an MQTT broker.",
 )
+@option(
+    "--spindle-speed/--no-spindle-speed",
+    default=None,
+    help="Let the spindle speed follow the stability pockets too (default: with the live view).",
+)
 @json_option
 def demo(
     headless: bool,
@@ -69,6 +74,7 @@ def demo(
     driver: str,
     secure: bool,
     sensors: str,
+    spindle_speed: bool | None,
     json_path: str | None,
 ) -> None:
     """Watch a simulated machine tool warm up while the daemon compensates it.
@@ -91,6 +97,8 @@ def demo(
             line["profile"] = "checked"  # the simulated nodes can send a checksum, which the published ones could not
         if sensors != SENSORS[0]:
             put_on(sensors, machine)
+        if spindle_speed or (spindle_speed is None and not headless):
+            tune_spindle_speed(machine)
         path, _ = write_simulation_configuration(
             machine, folder, speed=speed, http_port=port, secure=secure, driver=driver
         )
@@ -131,6 +139,20 @@ def demo_machine() -> dict[str, Any]:
     content["compensation"]["model_file"] = str(shipped_file("simulated_machine_model.json"))
     content["compensation"]["commissioning_file"] = str(shipped_file("simulated_machine_commissioning.json"))
     return content
+
+
+def tune_spindle_speed(content: dict[str, Any]) -> None:
+    """Let the spindle speed of the simulated machine's tool 1 follow the stability pockets."""
+    from config.machine.spindle import spindle_folder
+    from config.machines import shipped_file
+
+    data = spindle_folder().parent
+    tuning = yaml.safe_load((data / "simulated_machine_spindle_speed.yaml").read_text(encoding="utf-8"))
+    tuning["thermomechanical_model"] = str(shipped_file("simulated_machine_bearings.json"))
+    for operation in tuning["operations"]:
+        operation["case"] = str(data / "simulated_machine_cut.yaml")
+    content["cnc"]["macros"]["writable"].append(str(tuning["macros"]["valid_until"]))
+    content["spindle_speed"] = tuning
 
 
 def _check_faults(path: Path) -> None:
@@ -174,10 +196,14 @@ def _show(running: RunningSimulation, until_s: float, trail: Trail) -> dict[str,
 
 def say_result(trail: Trail, status: dict[str, Any], port: int | None) -> None:
     """Say what was seen, for when the live view has gone from the screen, or there was none."""
+    from daemon.monitor.view import speed_in_words
+
     minutes, writes, feedback = trail.time_s / 60.0, status["writes"], status["latency_s"]["feedback"]
     say(f"seen until {minutes:.0f} min of the machine's time; the output is {status['output']['state']}")
     for axis, (without, compensated) in trail.largest_um().items():
         say(f"axis {axis}: error up to {without:.1f} um without compensation, up to {compensated:.1f} um with it")
+    if speed := status["spindle_speed"]:
+        say(f"spindle speed {speed_in_words(speed)}")
     delay = "" if feedback["mean"] is None else f"; feedback {feedback['mean'] * 1e3:.0f} ms in the mean"
     say(f"{writes['verified']} of {writes['sent']} writes read back and equal{delay}")
     if port is not None:

@@ -16,6 +16,7 @@ from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
 from drivers.sim.nc.nc import RunCode
 from drivers.sim.nc.program import RETREAT, campaign_program
+from drivers.sim.nc.safe_point import SafePointApplication
 
 NAMES = (
     *WriteWatch.NAMES,
@@ -161,9 +162,7 @@ class Observer:
             Day.draw(result.seed, start="cold"),
             campaign_program(),
             configuration.temperatures.sensors,
-            self._map,
-            configuration.compensation.axes,
-            configuration.cnc.guard,
+            SafePointApplication(self._map, configuration.compensation.axes, configuration.cnc.guard),
         )
         self.world = CampaignWorld(machine, configuration, script, self, epoch_utc_s=EPOCH_UTC_S, seed=result.seed)
         ledger = result.ledger

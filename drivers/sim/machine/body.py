@@ -87,6 +87,8 @@ class MachineBody:
         self._index = 0
         self._block_start_s = 0.0
         self._held_until_s = 0.0
+        self._taken: tuple[float, float] | None = None
+        """Programmed speed, and what was taken in its place [1/min]."""
         self._ramp = _Ramp(start_s=0.0, from_rpm=0.0, to_rpm=self.block.spindle_speed_rpm)
         self.travel.enter(self.block.kind, 0.0)
 
@@ -127,6 +129,16 @@ class MachineBody:
         """Keep the present block running at least until then [s]."""
         self._held_until_s = max(self._held_until_s, float(until_s))
 
+    def turn(self, time_s: float, programmed_rpm: float, taken_rpm: float) -> None:
+        """Turn at a speed that was taken in place of the programmed one, until a block has another [1/min].
+
+        A spindle that stands goes on standing until the next block.
+        """
+        self._taken = (programmed_rpm, taken_rpm)
+        if self.block.spindle_speed_rpm > 0.0:
+            self._commit(max(time_s, self.time_s))
+            self._ramp = _Ramp(start_s=self.time_s, from_rpm=self.spindle_speed_rpm, to_rpm=taken_rpm)
+
     def restart_program(self) -> None:
         """Begin the program again from its first block, now."""
         self._commit(self.time_s)
@@ -154,7 +166,11 @@ class MachineBody:
         self._index = index
         self._block_start_s = self.time_s
         self.travel.enter(self.block.kind, self.time_s)
-        self._ramp = _Ramp(start_s=self.time_s, from_rpm=speed_rpm, to_rpm=self.block.spindle_speed_rpm)
+        programmed_rpm = self.block.spindle_speed_rpm
+        if self._taken is not None and self._taken[0] != programmed_rpm:
+            self._taken = None
+        commanded_rpm = programmed_rpm if self._taken is None else self._taken[1]
+        self._ramp = _Ramp(start_s=self.time_s, from_rpm=speed_rpm, to_rpm=commanded_rpm)
 
     def _commit(self, to_s: float) -> None:
         self.time_s = to_s

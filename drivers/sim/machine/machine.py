@@ -10,9 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from config.schema.cnc import MacroMapConfig
-from config.schema.compensation import AxisConfig
-from config.schema.guard import GuardConfig
 from config.schema.temperatures import SensorConfig
 from drivers.sim.contract import AxisTruth
 from drivers.sim.machine.body import MachineBody
@@ -52,14 +49,12 @@ class CfrpMachine:
         day: Day,
         program: PartProgram,
         sensors: Sequence[SensorConfig],
-        macro_map: MacroMapConfig,
-        axes: Mapping[str, AxisConfig],
-        guard: GuardConfig | None = None,
+        application: SafePointApplication,
         *,
         wiring: Wiring = STRAIGHT,
         travels: Mapping[str, AxisTravel] | None = None,
     ) -> None:
-        if unknown := sorted({name for name, axis in axes.items() if axis.slope is None} - set(AXES)):
+        if unknown := sorted(set(application.axes) - set(application.slopes) - set(AXES)):
             raise ValueError(f"the simulated machine has the axes {', '.join(AXES)}, not {', '.join(unknown)}")
         self.body = MachineBody(day, program, sensors, travels=travels)
         self.time_s = 0.0
@@ -71,9 +66,9 @@ class CfrpMachine:
             power_on_count=int(rng.integers(100, 1000)),
             tool_number=1,
         )
-        self.guard = SafePointApplication(macro_map, axes, guard)
+        self.guard = application
         self._nc.keeps_all, self._nc.external_mm = self.guard.keeps_all, self.guard.control.external_mm
-        self._programs = NcPrograms(self.guard, self._nc)
+        self._programs = NcPrograms(self.guard, self._nc, self.body.turn)
         self._motor_due_s = 0.0
         self._wiring = wiring
         self._zero: _Zero | None = None

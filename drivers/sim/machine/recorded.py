@@ -94,7 +94,7 @@ class RecordedMachine:
         self._guard = SafePointApplication(macro_map, axes, guard)
         self._nc.keeps_all, self._nc.external_mm = self._guard.keeps_all, self._guard.control.external_mm
         self._guard.initialise(self._nc.macros, self._nc.clock_s)
-        self._programs = NcPrograms(self._guard, self._nc)
+        self._programs = NcPrograms(self._guard, self._nc, lambda *_: None)
         self._coming = [
             (LEAD_IN_S, Block(sequence_number=POSITIONING, kind="positioning", duration_s=POSITIONING_S)),
             (LEAD_IN_S + POSITIONING_S, Block(sequence_number=SAFE, kind="safe", duration_s=self.duration_s)),

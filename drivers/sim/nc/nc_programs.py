@@ -1,6 +1,7 @@
 """When the simulated NC runs which of its programs: the guard at safe points, a request where the program asks."""
 
 from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 
@@ -20,9 +21,15 @@ UM_PER_MM = 1000.0
 class NcPrograms:
     """Runs the NC's macro programs over simulated time, block of the part program by block."""
 
-    def __init__(self, application: SafePointApplication, nc: NumericalControl) -> None:
+    def __init__(
+        self, application: SafePointApplication, nc: NumericalControl, turn: Callable[[float, float, float], None]
+    ) -> None:
+        """`turn(time_s, programmed_rpm, taken_rpm)` is called at the end of the speed program."""
         self._application = application
         self._nc = nc
+        self._turn = turn
+        self._called_rpm: float | None = None
+        """Speed that the speed program was called for, while it is under way [1/min]."""
         self._axis_number = {axis: float(n) for n, axis in enumerate(application.axes, start=1)}
         self._queue: deque[tuple[int, dict[str, float]]] = deque()
         """Programs that the present block still has to begin, with their arguments."""
@@ -61,6 +68,10 @@ class NcPrograms:
         if self._at_safe_point:
             self._queue.append((programs.guard if programs.enter is None else programs.enter, {}))
             self._next_guard_s = time_s + GUARD_PERIOD_S
+        if block.speed_call is not None and (speed := self._application.speed_program) is not None:
+            call = block.speed_call
+            arguments = {"S": call.speed_rpm, "F": call.feed_mm_min, "D": call.depth_mm, "E": call.radial_mm}
+            self._queue.append((speed.number, arguments))
 
     def run_until(self, end_s: float) -> None:
         """Do everything that falls due before `end_s` [s]."""
@@ -75,6 +86,7 @@ class NcPrograms:
     def power_cycle(self) -> None:
         """Forget what was under way."""
         self._queue.clear()
+        self._called_rpm = None
         self._resume_s = self._next_guard_s = np.inf
         self._at_safe_point = False
         self._application.power_cycle()
@@ -93,6 +105,8 @@ class NcPrograms:
         if not interpreter.running:
             number, arguments = self._queue.popleft()
             interpreter.start(number, **arguments)
+            speed = self._application.speed_program
+            self._called_rpm = arguments["S"] if speed is not None and number == speed.number else None
             if number in (self._application.programs.guard, self._application.programs.enter):
                 self._next_guard_s = at_s + GUARD_PERIOD_S
         self._resume_s = at_s + (interpreter.wait() or 0.0)
@@ -100,3 +114,6 @@ class NcPrograms:
             self._nc.alarm = MACRO_ALARM + alarm[0]
             self._queue.clear()
             self._next_guard_s = np.inf
+        elif self._called_rpm is not None and not interpreter.running:
+            self._turn(at_s, self._called_rpm, self._application.control.spindle_rpm)
+            self._called_rpm = None

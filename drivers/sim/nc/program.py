@@ -10,6 +10,17 @@ HOUR_S = 3600.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SpeedCall:
+    """A call of the speed program before a cut, where the NC has one."""
+
+    speed_rpm: float
+    """As programmed, as are the others [1/min]."""
+    feed_mm_min: float
+    depth_mm: float
+    radial_mm: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Block:
     """One stretch of a part program."""
 
@@ -26,6 +37,8 @@ class Block:
     """The tool in the spindle is set on this axis at the block's beginning."""
     probe: str | None = None
     """A probe measures the deviation of this axis at the block's beginning."""
+    speed_call: SpeedCall | None = None
+    """Made at the block's beginning; what follows at the same programmed speed turns as it says."""
 
     def __post_init__(self) -> None:
         if not self.duration_s > 0:
@@ -61,6 +74,11 @@ class PartProgram:
 
 POSITIONING, FIRST_CUT, SAFE, STANDSTILL, ROTATION, RETREAT = 100, 200, 900, 10, 300, 90
 """Sequence numbers of the shipped programs."""
+DEPTH_MM = {12000.0: 2.0, 10000.0: 3.5, 8000.0: 3.0}
+RADIAL_MM = 8.0
+"""Of the cuts of the shipped program, by their speed [1/min]."""
+FEED_MM = 0.2
+"""Feed for each turn of the spindle [mm]."""
 SHIFT_PARTS = 19
 """Parts that are made before the night."""
 
@@ -68,19 +86,32 @@ SHIFT_PARTS = 19
 def demo_program() -> PartProgram:
     """Return O1000: standstill, then for ever work positioning (N100), 48 min of cuts (N200 ..), a short stop.
 
-    A minute is a cut of 55 s and a safe point (N900) of 5 s; the spindle goes on turning there.
+    A minute is a cut of 55 s and a safe point (N900) of 5 s; the spindle goes on turning there. The speed program is
+    called before each cut.
     """
+    speeds = [12000.0] * 20 + [10000.0] * 10 + [8000.0] * 8 + [12000.0] * 10
+    calls = [_speed_call(speed_rpm) for speed_rpm in speeds]
     blocks = [
         Block(sequence_number=STANDSTILL, kind="idle", duration_s=150.0),
-        Block(sequence_number=POSITIONING, kind="positioning", duration_s=20.0),
+        Block(sequence_number=POSITIONING, kind="positioning", duration_s=20.0, speed_call=calls[0]),
     ]
-    speeds = [12000.0] * 20 + [10000.0] * 10 + [8000.0] * 8 + [12000.0] * 10
-    for number, speed_rpm in enumerate(speeds):
+    for number, (speed_rpm, next_call) in enumerate(zip(speeds, [*calls[1:], None], strict=True)):
         sequence_number = FIRST_CUT + 10 * number
         blocks.append(Block(sequence_number=sequence_number, kind="cut", duration_s=55.0, spindle_speed_rpm=speed_rpm))
-        blocks.append(Block(sequence_number=SAFE, kind="safe", duration_s=5.0, spindle_speed_rpm=speed_rpm))
+        blocks.append(
+            Block(sequence_number=SAFE, kind="safe", duration_s=5.0, spindle_speed_rpm=speed_rpm, speed_call=next_call)
+        )
     blocks.append(Block(sequence_number=STANDSTILL + 10, kind="idle", duration_s=100.0))
     return PartProgram(number=1000, blocks=tuple(blocks), repeat_from=1)
+
+
+def _speed_call(speed_rpm: float) -> SpeedCall:
+    return SpeedCall(
+        speed_rpm=speed_rpm,
+        feed_mm_min=FEED_MM * speed_rpm,
+        depth_mm=DEPTH_MM[speed_rpm],
+        radial_mm=RADIAL_MM,
+    )
 
 
 def standing_program() -> PartProgram:

@@ -4,11 +4,13 @@ What is applied is the external work offset (G10, or SD43900) minus the operator
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 
 from config.schema.cnc import MacroMapConfig
 from config.schema.compensation import AxisConfig
 from config.schema.guard import SHARED_MEMORY, AxisLetter, GuardAxisConfig, GuardConfig
+from config.schema.spindle_speed import SpeedMacrosConfig
 from drivers.guard.programs import guard_text
 from drivers.guard.text import GUARD_VERSION, GuardPrograms, GuardStatus, guard_axes
 from drivers.sim.contract import Macros
@@ -43,23 +45,39 @@ def simulated_guard(axes: Mapping[str, AxisConfig]) -> GuardConfig:
     return GuardConfig(increment_mm=SIMULATED_INCREMENT_MM, axes=numbered)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpeedProgram:
+    """The NC program that takes the spindle speed, as `toolpoint guard --speed` prints it."""
+
+    number: int
+    text: str
+    macros: SpeedMacrosConfig
+
+
 class SafePointApplication:
     """The NC programs of one machine on a simulated control."""
 
     def __init__(
-        self, macro_map: MacroMapConfig, axes: Mapping[str, AxisConfig], guard: GuardConfig | None = None
+        self,
+        macro_map: MacroMapConfig,
+        axes: Mapping[str, AxisConfig],
+        guard: GuardConfig | None = None,
+        speed_program: SpeedProgram | None = None,
     ) -> None:
         guard = guard or simulated_guard(axes)
+        self.speed_program = speed_program
+        cleared = () if speed_program is None else (speed_program.macros.valid_until,)
         self._map = macro_map
         self._axes = guard_axes(axes, guard)
         self._places = {axis: settings.number - 1 for axis, settings in self._axes.items()}
         slopes = {name: axis.slope for name, axis in axes.items() if axis.slope is not None}
-        self._slopes = slopes
+        self.slopes = slopes
         memory = guard.memory_of(len(axes), len(slopes))[SHARED_MEMORY:]
         self._memory, self._slope_places = memory[: len(axes)], memory[len(axes) + 1 :]
         self.programs = GuardPrograms.of(macro_map, guard)
-        self.text = guard_text(macro_map, axes, guard)
-        """What the NC runs."""
+        self.text = guard_text(macro_map, axes, guard, cleared=cleared)
+        """What the NC runs, beside the speed program."""
+        speed_text = "" if speed_program is None else speed_program.text
         letters = {axis.number: axis.letter for axis in self._axes.values()}
         addresses = [letters.get(number, "") for number in range(1, max(letters) + 1)]
         self.control: MacroControl | SinumerikControl
@@ -70,7 +88,8 @@ class SafePointApplication:
                 siemens.pivots_mm[self._places[name]] = slope.pivot_mm
                 siemens.compensation_types[self._axes[name].letter] = 3
             self.control = siemens
-            self.interpreter = SinumerikInterpreter(_compiled_archive(self.text), siemens)
+            archives = _compiled_archive(self.text) | (_compiled_archive(speed_text) if speed_text else {})
+            self.interpreter = SinumerikInterpreter(archives, siemens)
         else:
             fanuc = MacroControl(_NoMacros(), addresses=addresses, increment_mm=guard.increment_mm)
             if guard.read_ahead_stop.startswith("M"):
@@ -78,7 +97,8 @@ class SafePointApplication:
             for name, slope in slopes.items():
                 fanuc.positions_mm[self._places[name]] = slope.pivot_mm
             self.control = fanuc
-            self.interpreter = Interpreter(_compiled(self.text), fanuc)
+            programs = _compiled(self.text) | (_compiled(speed_text) if speed_text else {})
+            self.interpreter = Interpreter(programs, fanuc)
         self._remembered = frozenset() if guard.dialect == "sinumerik" else frozenset(slopes)
         """Slopes that only the guard's memory knows: this control has offsets alone."""
         self._own_mm = dict.fromkeys(axes, 0.0)
@@ -96,13 +116,13 @@ class SafePointApplication:
     @property
     def offsets_um(self) -> dict[str, float]:
         """The same without slopes: the simulated axes stand at their pivots."""
-        return {axis: um for axis, um in self.applied_um.items() if axis not in self._slopes}
+        return {axis: um for axis, um in self.applied_um.items() if axis not in self.slopes}
 
     def moved_um(self, applied_um: Mapping[str, float], positions_mm: Mapping[str, float]) -> dict[str, float]:
         """Return how far values of `applied_um` move each axis that stands somewhere [um]; at its pivot if not told."""
-        moved = {axis: um for axis, um in applied_um.items() if axis not in self._slopes}
-        for name in set(self._slopes) - self._remembered:
-            slope = self._slopes[name]
+        moved = {axis: um for axis, um in applied_um.items() if axis not in self.slopes}
+        for name in set(self.slopes) - self._remembered:
+            slope = self.slopes[name]
             moved[slope.of] += 1e-3 * applied_um[name] * (positions_mm.get(slope.of, slope.pivot_mm) - slope.pivot_mm)
         return moved
 
@@ -142,6 +162,9 @@ class SafePointApplication:
             if number is not None:
                 macros.set(number, 0.0)
         macros.set(self._map.valid_until, None)
+        if self.speed_program is not None:
+            for number in self.speed_program.macros.ours:
+                macros.set(number, None if number == self.speed_program.macros.valid_until else 0.0)
         if self._map.request is not None:
             macros.set(self._map.request.acknowledge, 0.0)
         self._own_mm = {axis: 0.0 if axis in self._remembered else self._external_mm(axis) for axis in self._axes}
@@ -178,13 +201,13 @@ class SafePointApplication:
         place = self._places[axis]
         if axis in self._remembered:
             return self.control.common.get(self._memory[self.axes.index(axis)]) or 0.0
-        if axis in self._slopes and isinstance(self.control, SinumerikControl):
+        if axis in self.slopes and isinstance(self.control, SinumerikControl):
             return self.control.slopes[place] * MM_PER_M
         return self.control.external_mm[place]
 
     def _set_external_mm(self, axis: str, mm: float) -> None:
         place = self._places[axis]
-        if axis in self._slopes and isinstance(self.control, SinumerikControl):
+        if axis in self.slopes and isinstance(self.control, SinumerikControl):
             self.control.slopes[place] = mm / MM_PER_M
         elif axis not in self._remembered:
             self.control.external_mm[place] = mm
