@@ -18,6 +18,8 @@ GROUPS = ("12", "34", "5")
 """The published spindle's: front bearings at the nose, front bearings behind them, rear bearing."""
 KINDS = ("kt", "ct", "kr", "cr")
 """Translational stiffness [N/m] and damping [N s/m], rotational stiffness [N m/rad] and damping [N m s/rad]."""
+UNITS = dict(zip(KINDS, ("N/m", "N s/m", "N m/rad", "N m s/rad"), strict=True))
+"""Kind -> unit."""
 
 BearingProperties = Mapping[str, SpringDamper]
 """Group -> properties."""

@@ -65,6 +65,9 @@ def test_identification_finds_what_the_response_was_made_with(spindle: Path, tmp
     assert found["cost"] < 1e-9
     assert found["fixed"]["kr_5"] == 1e5
     assert found["fixed_from"] == "source"
+    told = call("identify", spindle, measured, "--parameters", parameters).stderr
+    assert re.search(r"kt_34 +1.4000e\+08 N/m +1.\d+e\+08 to", told) and re.search(r"ct_5 +2.0000e\+03 N s/m ", told)
+    assert re.search(r"kr_5 +1.0000e\+05 N m/rad +not varied, the published value: belongs to the others", told)
 
 
 def test_twelve_parameters_are_found_again_but_not_all_determined(spindle: Path, tmp_path: Path) -> None:

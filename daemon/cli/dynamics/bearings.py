@@ -92,6 +92,8 @@ def bearings(
     """
     import numpy as np
 
+    from models.dynamics.bearings import UNITS
+
     regression = _regression(axis, model_path, bounds_path)
     values = {name: (degc, change, change) for name, (degc, change) in named.items()}
     for name, label in SIGNALS.items():
@@ -111,7 +113,7 @@ def bearings(
             beside = (
                 f"   outside the physical range {each.bounds.lowest:g} to {each.bounds.highest:g}: raw {each.raw:.4g}"
             )
-        say(f"{each.name:6} {each.value:12.4e}{beside}")
+        say(f"{each.name:6} {each.value:12.4e} {UNITS[each.name[:2]]:9}{beside}".rstrip())
     write_json(
         json_path, {each.name: {"raw": each.raw, "value": each.value, "flagged": each.flagged} for each in found}
     )

@@ -168,12 +168,17 @@ def contact(
 
 
 def show_identified(found: dict[str, Any]) -> None:
+    from models.dynamics.bearings import UNITS
+
     show_warnings(found)
     for name, value in found["values"].items():
         low, high = found["interval"][name]
         between = f"{'0' if low is None else f'{low:.3g}'} to {'any value' if high is None else f'{high:.3g}'}"
         seen = "" if found["identifiable"][name] else "   not determined by the data"
-        say(f"{name:6} {value:12.4e}   {between}{seen}")
+        say(f"{name:6} {value:12.4e} {UNITS[name[:2]]:9}   {between}{seen}")
+    for name, value in found["fixed"].items():
+        whose = "published value" if found["fixed_from"] == "source" else "file's value"
+        say(f"{name:6} {value:12.4e} {UNITS[name[:2]]:9}   not varied, the {whose}: belongs to the others")
     say(
         f"cost {found['cost']:.3e} m/N, mean |log(H/H_meas)| {found['log_error']:.2e}, "
         f"{found['evaluations']} evaluations"
