@@ -15,7 +15,8 @@ class Finding:
     passed: bool
     detail: str
     pending: bool = False
-    """Not passed because it is not set up yet: the configuration does not name it, or the daemon is to make it."""
+    """Not passed because it is not set up yet: the configuration does not name it, the daemon is to make it, or a
+    person is to release it."""
 
     @property
     def failed(self) -> bool:

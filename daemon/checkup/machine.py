@@ -219,17 +219,24 @@ def model_finding(configuration: Configuration) -> Finding:
     """Return what the daemon's account will find of its model."""
     found = load_released(configuration, account_of_daemon(configuration.history.path))
     if found.model is None:
-        pending = configuration.compensation.model_file is None
+        pending = _not_released_yet(configuration.compensation.model_file)
         return Finding(subject="thermal model", passed=False, detail=found.inhibit, pending=pending)
     channels = ", ".join(found.model.channels)
     return Finding(subject="thermal model", passed=True, detail=f"{found.in_words()}; channels {channels}")
 
 
+def _not_released_yet(model_file: Path | None) -> bool:
+    """Return whether nobody has ever released a model to this place: a release leaves a link there."""
+    return model_file is None or (model_file.parent.is_dir() and not os.path.lexists(model_file))
+
+
 def _spindle_speed(configuration: Configuration) -> Finding:
     """Return whether spindles, bearings' model and cases of the tuned operations can be read and fit together."""
+    section = configuration.spindle_speed
     opened = open_planning(configuration, account_of_daemon(configuration.history.path))
     if opened.inhibit or opened.model is None:
-        return Finding(subject="spindle speed", passed=False, detail=opened.inhibit)
+        pending = section is not None and _not_released_yet(section.thermomechanical_model)
+        return Finding(subject="spindle speed", passed=False, detail=opened.inhibit, pending=pending)
     detail = f"{opened.model.in_words()}; {len(opened.operations)} operation(s) can be tuned"
     return Finding(subject="spindle speed", passed=True, detail=detail)
 

@@ -461,6 +461,23 @@ async def test_the_command_shows_the_fault_that_it_acknowledges_and_asks(rig, be
     await asyncio.gather(serving, return_exceptions=True)
 
 
+async def test_a_fault_that_waits_for_the_cnc_is_not_taken_for_acknowledged(tmp_path):
+    """After a restoration status told the FAULT, and the command ended with 0 as if there were none."""
+    path = tmp_path / "s"
+
+    async def waiting(request, person):
+        assert request["command"] == "status"
+        return {"output": {"state": "OFF", "reason": "FAULT: the history was restored", "since_s": None, "fault": 1}}
+
+    serving = asyncio.create_task(ControlSocket(path, None, waiting).run())
+    while not path.exists():
+        await asyncio.sleep(0.01)
+    done = await asyncio.to_thread(CliRunner().invoke, main, ["acknowledge", "--socket", str(path)], input="y\n")
+    serving.cancel()
+    await asyncio.gather(serving, return_exceptions=True)
+    assert done.exit_code == 1 and "the CNC has not been reached yet" in done.output, done.output
+
+
 async def test_a_fault_of_a_daemon_that_the_upgrade_has_not_restarted_yet_is_acknowledged(tmp_path):
     """That of 0.1.0 tells no number of its FAULT, and takes none."""
     path, asked = tmp_path / "s", []

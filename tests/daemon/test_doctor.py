@@ -31,7 +31,13 @@ def test_the_model_of_a_machine_is_looked_at(tmp_path):
     assert f"model_file: {tmp_path}/model.json" in sample
     path.write_text(sample, encoding="utf-8")
     found = {finding.subject: finding for finding in examine(path)}["thermal model"]
-    assert not found.passed and "there is no thermal model; release one" in found.detail
+    assert found.pending and not found.passed and "there is no thermal model; release one" in found.detail
+    (tmp_path / "model.json").symlink_to(tmp_path / "releases" / "1.json")
+    found = {finding.subject: finding for finding in examine(path)}["thermal model"]
+    assert found.failed and "there is no thermal model; release one" in found.detail, "one was there"
+    path.write_text(sample.replace(f"{tmp_path}/model.json", f"{tmp_path}/mistyped/model.json"), encoding="utf-8")
+    found = {finding.subject: finding for finding in examine(path)}["thermal model"]
+    assert found.failed, "no release can go there"
     path.write_text("machine: [", encoding="utf-8")
     found = {finding.subject: finding for finding in examine(path)}["thermal model"]
     assert not found.passed and str(path) in found.detail

@@ -160,6 +160,8 @@ def acknowledge(config_path: Path, socket_path: Path | None, fault: int | None) 
             fault = output.get("fault")  # one of an earlier version, until it is restarted, knows no numbers
             click.echo(f"{output['state']}: {output['reason']}")
             if output["state"] != "FAULT":
+                if output.get("since_s", 0.0) is None:  # what was restored or kept is in force from the first poll on
+                    refuse("the CNC has not been reached yet: nothing can be acknowledged before", FAILED)
                 return
             click.confirm(
                 f"Acknowledge {'it' if fault is None else f'FAULT {fault}'}, because this is gone?", abort=True
