@@ -31,7 +31,7 @@ from daemon.sinks.contract import Retry, SinkError
 from daemon.sinks.database import STORE, Database, time_of
 from daemon.sinks.mqtt import topic_level
 from daemon.sinks.outbox import DAY_MS, STREAMS, Stream
-from daemon.sinks.postgresql_refusals import less_than_stored
+from daemon.sinks.postgresql_refusals import left_out, less_than_stored
 from daemon.sinks.row_messages import JSON_COLUMNS
 from daemon.sinks.same_name import SameName
 from models.json_values import printable
@@ -45,6 +45,7 @@ PING_PERIOD_S = 20
 LOOK_PERIOD_S = 0.5
 TELL_PERIOD_S = 5.0
 """How often the service manager hears that the process works, and how it fares."""
+LEFT_OUT_NAMED, LEFT_OUT_PERIOD_S = 10, 60.0
 LONGEST_NAME = 200
 LARGEST_MESSAGE = 1 << 18
 """The broker is told to leave out what is larger [bytes]; a row of a thousand sensors has some 30 kB."""
@@ -230,6 +231,27 @@ class Subscription:
             self._changed.notify_all()
 
 
+class _LeftOut:
+    """Messages that are no rows, or that the database does not take: all are counted, some a minute named in the log.
+
+    A publisher of another version would else fill the disk with a line per message.
+    """
+
+    def __init__(self) -> None:
+        self.count, self.last = 0, ""
+        self._since_s, self._named, self._unnamed = float("-inf"), 0, 0
+
+    def add(self, whose: str, problem: str) -> None:
+        self.count, self.last = self.count + 1, f"{printable(whose)[:LONGEST_PROBLEM]}: {problem}"
+        if (now_s := time.monotonic()) - self._since_s >= LEFT_OUT_PERIOD_S:
+            self._since_s, self._named = now_s, 0
+        if self._named >= LEFT_OUT_NAMED:
+            self._unnamed += 1
+            return
+        log.warning("store.refused", problem=self.last, unnamed_before=self._unnamed)
+        self._named, self._unnamed = self._named + 1, 0
+
+
 class PlantStore:
     """Takes from a broker and stores until it is told to stop, however often that fails."""
 
@@ -238,7 +260,7 @@ class PlantStore:
     ) -> None:
         """`tell` gets a sentence now and then while it works, on what it does or what keeps it from that."""
         self._config, self._stop, self._tell = config, stop, tell
-        self._told_s, self._stored = float("-inf"), 0
+        self._told_s, self._taken, self._left_out = float("-inf"), 0, _LeftOut()
         self._retry = Retry()
         self._said = ""
         self._same_name = SameName()
@@ -318,14 +340,16 @@ class PlantStore:
     def _works(self) -> None:
         if time.monotonic() - self._told_s >= TELL_PERIOD_S:
             self._told_s = time.monotonic()
-            came = f"{self._stored} messages since the start"
+            came = f"{self._taken} messages since the start"
+            if self._left_out.count:
+                came += f"; {left_out(self._left_out.count, self._left_out.last)}"
             topic = f"{self._config.mqtt.topic}/+/history/+"
             none = (
                 f"no message has come yet: see that machines publish, and that the broker lets `user_name` read {topic}"
             )
             again = f"; {two_computers(names)}" if (names := self._same_name.names()) else ""
             less = f"; {less_than_stored(self._less)}" if self._less else ""
-            self._tell(f"stores; {came if self._stored else none}{again}{less}")
+            self._tell(f"stores; {came if self._taken else none}{again}{less}")
 
     def _store(self, database: Database, messages: Sequence[paho.MQTTMessage]) -> None:
         """Commit the rows of messages; one that the database does not take is named and left out."""
@@ -339,7 +363,7 @@ class PlantStore:
                     self._put_alone(database, row)
         except (psycopg.Error, OSError) as error:
             raise database.refused(error) from error
-        self._stored += len(messages)
+        self._taken += len(messages)
 
     def _row(self, message: paho.MQTTMessage) -> StoredRow | None:
         topic = ""
@@ -347,7 +371,7 @@ class PlantStore:
             topic = message.topic  # which brokers other than mosquitto pass on with bytes that are no text
             row = row_of(topic, bytes(message.payload), self._config.mqtt.topic)
         except (ValueError, RecursionError) as error:
-            log.warning("store.refused", topic=printable(topic)[:LONGEST_PROBLEM], problem=_said(error))
+            self._left_out.add(topic, _said(error))
             return None
         self._same_name.saw(row.machine, _store_of(message))
         return row
@@ -359,7 +383,7 @@ class PlantStore:
             column = error.diag.column_name
             if isinstance(error, errors.NotNullViolation) and column not in row.stream.columns:
                 raise  # a column of somebody's own, which no row has: they wait
-            log.warning("store.refused", machine=printable(row.machine), stream=row.stream.name, problem=_said(error))
+            self._left_out.add(f"{row.stream.name} of {row.machine}", _said(error))
 
 
 def store_status(config: PlantStoreConfig) -> dict[str, Any]:

@@ -98,6 +98,11 @@ def name_taken(machine: str) -> str:
     )
 
 
+def left_out(count: int, last: str) -> str:
+    """Return that messages were acknowledged which are no rows, so that nobody has them any more."""
+    return f"{count} of them are no rows that the database takes and were left out, the last one: {last}"
+
+
 def less_than_stored(machines: list[str]) -> str:
     """Return that rows are lost which the broker has no more, though the machines have."""
     names = printable(", ".join(machines))

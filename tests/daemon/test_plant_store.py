@@ -15,8 +15,9 @@ import yaml
 from click.testing import CliRunner
 from fleet_kills import plant_broker
 from mosquitto import mosquitto
-from paho.mqtt.publish import single
+from paho.mqtt.publish import multiple, single
 from postgresql import PASSWORD, Server, postgresql
+from structlog.testing import capture_logs
 
 from config.schema.plant_store import PlantStoreConfig, SubscriptionConfig
 from daemon.cli import main
@@ -98,6 +99,39 @@ def section(server: Server, port: int, folder: Path, **changes: object) -> Plant
     there = {"host": "127.0.0.1", "port": server.port, "tls": False, "password_file": folder / "password"}
     broker = {"host": "127.0.0.1", "port": port, "tls": False} | changes
     return PlantStoreConfig.model_validate({"mqtt": broker, "postgresql": there})
+
+
+def test_the_row_that_the_guide_shows_is_one() -> None:
+    page = Path(__file__).parents[2] / "docs" / "how-to" / "publish-over-mqtt.md"
+    (shown,) = re.findall(r"```json\n(.*?)\n```", page.read_text("utf-8"), re.DOTALL)
+    assert row_of("toolpoint/mill 7/history/cnc", shown.encode(), "toolpoint").stream is STREAMS["cnc"]
+
+
+def test_messages_that_are_no_rows_are_counted_in_the_status_and_do_not_fill_the_log(
+    server: Server, tmp_path: Path
+) -> None:
+    """Sixty thousand of another version made as many lines, and the status said that they were stored."""
+    broker, stop, told = plant_broker(tmp_path), threading.Event(), list[str]()
+    broker.start()
+    work = PlantStore(section(server, broker.port, tmp_path), stop, told.append)
+    store = threading.Thread(target=work.run)
+    older = json.dumps({name: value for name, value in EVENT.items() if name != "kind"})
+    try:
+        with capture_logs() as logged:
+            store.start()
+            deadline_s = time.monotonic() + PATIENCE_S
+            while not any("were left out" in each for each in told) and time.monotonic() < deadline_s:
+                multiple([(TOPIC, older, 1, False)] * 200, hostname="127.0.0.1", port=broker.port)
+                time.sleep(0.2)
+            stop.set()
+            store.join()
+    finally:
+        stop.set()
+        store.join()
+    said = next(each for each in told if "were left out" in each)
+    assert f"were left out, the last one: {TOPIC}: `kind` is missing" in said
+    assert int(re.search(r"(\d+) of them are no rows", said)[1]) >= 100
+    assert 1 <= sum(each["event"] == "store.refused" for each in logged) <= 10
 
 
 def test_a_message_that_the_database_refuses_keeps_no_other_back(server: Server, tmp_path: Path) -> None:
