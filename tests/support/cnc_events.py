@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+import yaml
 from cnc_program import PROBES, Block
 from cnc_wire import COUNTED, RUN_CODES, TOOLS_COUNTED, as_it_comes
 from nc_requests import ACKNOWLEDGE, AXIS, COUNTER, KIND, VALUE
 
+from daemon.backup.making import make_backup
+from daemon.backup.restoring import restore
 from drivers.sim.nc.custom_macro import MacroControl
 from drivers.sim.nc.nc import ModeCode
 from models.control.state import OperatorRequest
@@ -222,6 +226,58 @@ def restarts_late(shop: Shop) -> None:
     sleeps(shop)
 
 
+def old_store(shop: Shop) -> None:
+    """The store goes back to what it is now, as of a computer whose disk is put back, or of a second one."""
+    store = shop.bench.configuration.history.path
+    kept = {path.name: path.read_bytes() for path in store.parent.glob(f"{store.name}*") if path.is_file()}
+    shop.then(shop.turn_number + shop.rng.randrange(2, 60), lambda shop: starts_on(shop, kept))
+
+
+def empty_store(shop: Shop) -> None:
+    """Another computer takes over, which has never seen this machine."""
+    starts_on(shop, {})
+
+
+def starts_on(shop: Shop, kept: dict[str, bytes]) -> None:
+    store = shop.bench.configuration.history.path
+
+    def put_back() -> None:
+        for path in store.parent.glob(f"{store.name}*"):
+            path.unlink()
+        for name, content in kept.items():
+            (store.parent / name).write_bytes(content)
+
+    shop.restarts, shop.put_back = True, put_back
+    shop.asleep = shop.rng.choice([0, 0, 10, 40])
+
+
+def back_up(shop: Shop) -> None:
+    """The back-up of now is restored later, by `toolpoint restore`."""
+    folder = shop.bench.configuration.history.path.parent
+    config_path, archive = folder / "toolpoint.yaml", folder / f"{len(shop.said)}.tar"
+    content = json.loads(shop.bench.configuration.model_dump_json(exclude_defaults=True))
+    config_path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    make_backup(shop.bench.configuration, config_path, archive)
+
+    def comes_back(shop: Shop) -> None:
+        shop.restarts = True
+        shop.put_back = lambda: void(restore(archive, config_path, person="a person", replace=True))
+
+    shop.then(shop.turn_number + shop.rng.randrange(2, 60), comes_back)
+
+
+def calendar_set(shop: Shop) -> None:
+    """Somebody sets this computer's calendar, or it learns the time: hours back, days ahead, or a little."""
+    shop.bench.clock.calendar_s += shop.rng.choice([-7200.0, -3600.0, -30.0, -3.0, 3.0, 30.0, 3600.0, 3.0 * 86400.0])
+
+
+def reference_late(shop: Shop) -> None:
+    """The work is positioned next, its reference takes some seconds, and the calendar is set meanwhile."""
+    estimation_is_slow(shop)
+    shop.program.ahead.insert(0, Block(100, 5))
+    shop.then(shop.turn_number + shop.rng.randrange(1, 14), calendar_set)
+
+
 def estimation_is_slow(shop: Shop) -> None:
     shop.slow = shop.rng.randrange(1, 12)
     shop.undo.append((shop.turn_number + 40, lambda: setattr(shop, "slow", 0)))
@@ -351,6 +407,11 @@ EVENTS: dict[str, Callable[[Shop], None]] = {
     "daemon asleep": sleeps,
     "daemon restarted": restarts,
     "daemon restarted late": restarts_late,
+    "store of before": old_store,
+    "empty store": empty_store,
+    "back-up restored by toolpoint": back_up,
+    "calendar set": calendar_set,
+    "reference late": reference_late,
     "estimation slow": estimation_is_slow,
     "switched": switched,
     "another mode": another_mode,

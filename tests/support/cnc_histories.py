@@ -111,6 +111,8 @@ class Shop:
         """Turns in which the daemon's computer does nothing."""
         self.turn_number = 0
         self.restarts = False
+        self.put_back: Callable[[], None] | None = None
+        """What happens to the store before the next start of the daemon."""
         self.said: list[tuple[int, str]] = []
         self.states: Counter[str] = Counter()
         self.wrong_for = self.longest_wrong = 0
@@ -303,7 +305,7 @@ class Shop:
             if rig.state == "FAULT":
                 said = rig.acknowledge("a person")
                 self.said.append((now, f"acknowledged {rig.control.journal.fault} {said}"[:160]))
-            elif rig.state in ("OFF", "RETREAT"):
+            elif rig.state in ("OFF", "RETREAT") or (rig.state == "HOLD" and not self.followed):
                 rig.control.request(OperatorRequest(enable=frozenset(self.machine.places)), "a person")
 
     @property
@@ -329,6 +331,9 @@ class Shop:
                         )
                 await rig.history.flushed()
                 rig.alive()
+            if self.put_back is not None:
+                self.put_back()
+                self.put_back = None
         self.ends = rig.state
 
     def _rig(self) -> Rig:
