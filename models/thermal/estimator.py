@@ -72,6 +72,7 @@ class LinearEstimator:
         speed = speed_rpm if np.isfinite(speed_rpm) else 0.0
         inputs = speed_inputs(np.array([speed]), model.speed_scale_rpm)[0]
         lagged = np.tile(filled, (len(model.layout.lags_min), 1))
+        unknown = 0.0 if model.start is None or model.axis_positions else model.start.unknown_at_start(degc)
         return ModelState(
             time_min=time_min,
             degc=filled,
@@ -86,7 +87,7 @@ class LinearEstimator:
             lagged=lagged,
             known_lagged=lagged,
             speed_lagged=np.tile(inputs, (len(model.layout.speed_lags_min), 1)),
-            watch=None if self._watcher is None else self._watcher.begin(time_min, temperatures, speed_rpm),
+            watch=None if self._watcher is None else self._watcher.begin(time_min, temperatures, speed_rpm, unknown),
         )
 
     def _require(self, time_min: float, degc: FloatArray) -> None:

@@ -100,21 +100,22 @@ def without_columns(precision: Precision, columns: Sequence[int]) -> Rows:
 
 
 def departure_maps(
-    layout: Layout, precision: Precision, gain: FloatArray, skip: Sequence[int] = ()
+    layout: Layout, precision: Precision, gain: FloatArray, skip: Sequence[int] = (), *, lags: bool = True
 ) -> tuple[FloatArray, FloatArray]:
     """Return what turns scaled columns into the departure of every sensor from its prediction by those that count.
 
     Result: maps [K], shape (n_sensors, d), zeros for sensors that do not count, and the standard deviation that the
     model itself expects [K], shape (n_sensors,).
 
-    `layout`, `precision` and `gain`: see `SensorWatch`. `skip`: sensors that do not count.
+    `layout`, `precision` and `gain`: see `SensorWatch`. `skip`: sensors that do not count. `lags`: whether lags do.
     """
     sensors = [s for s in range(layout.sensors) if s not in skip and gain[s] > 0.0]
     maps, expected = np.zeros((layout.sensors, layout.columns)), np.zeros(layout.sensors)
-    rows = without_columns(precision, layout.of_sensors(skip).tolist())
+    unused = set(layout.of_sensors(skip).tolist()) | set(() if lags else range(layout.sensors, layout.columns))
+    rows = without_columns(precision, sorted(unused))
     for first in range(0, len(sensors), AT_ONCE):
         some = sensors[first : first + AT_ONCE]
-        own = np.stack([layout.of_sensors([s]) for s in some])
+        own = np.stack([layout.of_sensors([s])[: None if lags else 1] for s in some])
         of_own = rows(own.ravel()).reshape(*own.shape, layout.columns)
         blocks = np.linalg.inv(np.take_along_axis(of_own, own[:, None, :], axis=2))
         maps[some] = np.einsum("sj,sjd->sd", blocks[:, 0], of_own) / gain[some, None]

@@ -39,7 +39,7 @@ class StartDeviation:
     def __post_init__(self) -> None:
         """Check shapes and numbers; raises ModelError."""
         lags, channels = self.covariance_um2.shape[-1], len(self.signal_um)
-        if self.covariance_um2.shape != (channels * lags, lags):
+        if self.covariance_um2.size != channels * lags**2:
             shape = self.covariance_um2.shape
             raise ModelError("start.covariance_um2", f"has shape {shape} for {channels} channels and {lags} lags")
         for key in ("covariance_um2", "signal_um", "rest_degc"):
@@ -65,7 +65,7 @@ class StartDeviation:
     def variance_um2(self, unknown: FloatArray) -> FloatArray:
         """Return the variance of the estimate when so much of each lag is unknown [um^2], shape (n_channels,)."""
         lags = self.covariance_um2.shape[-1]
-        table = self.covariance_um2.reshape(-1, lags, lags)
+        table = self.covariance_um2.reshape(len(self.signal_um), lags, lags)
         found: FloatArray = np.maximum(np.einsum("clm,l,m->c", table, unknown, unknown), 0.0)
         return found
 

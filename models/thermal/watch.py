@@ -23,6 +23,7 @@ from models.thermal.sensor_watch import (
     departure_maps,
     without_columns,
 )
+from models.thermal.start import LEAST_UNKNOWN
 
 MOVED = 0.5
 """A sensor that stands still has moved when the others say so by more than this share of its limit, by more than they
@@ -108,6 +109,8 @@ class WatchState:
     """Which sensors have ever had a value; before, one stands at its mean of training."""
     steps: "Steps"
     """In which steps the sensors count."""
+    unknown: float
+    """Share of the longest lag that nobody recorded, 0..1."""
     faults: tuple[SensorFault, ...] = field(default=())
 
     @property
@@ -186,7 +189,8 @@ class Watcher:
     def __init__(self, watch: SensorWatch, steps_k: Sequence[float] = ()) -> None:
         self.watch = watch
         self._steps_k = np.array(steps_k) if len(steps_k) else np.zeros(watch.layout.sensors)
-        self._maps: dict[tuple[int, ...], tuple[FloatArray, FloatArray]] = {}
+        self._maps: dict[tuple[bool, tuple[int, ...]], tuple[FloatArray, FloatArray]] = {}
+        self._longest_min = max((*watch.layout.lags_min, *watch.layout.speed_lags_min))
         self._most_maps = max(2, MOST_MAP_VALUES // (watch.layout.sensors * watch.layout.columns))
         _, self._usual = self._map(())
 
@@ -229,16 +233,16 @@ class Watcher:
             lagged[index, sensors] = (state.degc - behind_k)[sensors]
         return lagged
 
-    def _map(self, excluded: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
-        if excluded not in self._maps:
+    def _map(self, excluded: tuple[int, ...], lags: bool = True) -> tuple[FloatArray, FloatArray]:
+        if (lags, excluded) not in self._maps:
             if len(self._maps) >= self._most_maps:
                 self._maps.clear()
             layout, precision, gain = self.watch.layout, self.watch.precision, self.watch.gain
-            self._maps[excluded] = departure_maps(layout, precision, gain, excluded)
-        return self._maps[excluded]
+            self._maps[lags, excluded] = departure_maps(layout, precision, gain, excluded, lags=lags)
+        return self._maps[lags, excluded]
 
-    def begin(self, time_min: float, degc: FloatArray, speed_rpm: float) -> WatchState:
-        """Return the state at the first sample; a sensor without a value begins at its mean of training."""
+    def begin(self, time_min: float, degc: FloatArray, speed_rpm: float, unknown: float = 0.0) -> WatchState:
+        """Return the state at a first sample, a share of its lags unknown; without a value at training's mean."""
         watch, count = self.watch, self.watch.layout.sensors
         filled = np.where(np.isfinite(degc), degc, watch.centre[:count])
         speed = speed_inputs(np.array([np.nan_to_num(speed_rpm)]), watch.speed_scale_rpm)[0]
@@ -261,6 +265,7 @@ class Watcher:
             moved_since_min=np.full(count, time_min),
             heard=np.isfinite(degc),
             steps=Steps.begun(self._steps_k, filled),
+            unknown=unknown,
         )
 
     def _columns(self, degc: FloatArray, lagged: FloatArray, speed_lagged: FloatArray) -> FloatArray:
@@ -283,7 +288,7 @@ class Watcher:
         if elapsed_min <= 0.0 or not np.isfinite(degc).any():
             return state
         if not state.heard.any():
-            return self.begin(time_min, degc, speed_rpm)
+            return self.begin(time_min, degc, speed_rpm, state.unknown)
         advanced = self._advance(state, time_min, elapsed_min, degc, speed_rpm)
         if len(first := np.flatnonzero(advanced.heard & ~state.heard)):
             advanced = self.reinitialised(advanced, first.tolist())
@@ -330,6 +335,7 @@ class Watcher:
             moved_since_min=np.where(same & (np.abs(moved) > least), state.moved_since_min, time_min),
             heard=state.heard | known,
             steps=state.steps.after(filled, elapsed_min, step_k),
+            unknown=state.unknown * math.exp(-elapsed_min / self._longest_min),
             faults=state.faults,
         )
 
@@ -364,8 +370,8 @@ class Watcher:
         """Return each sensor's departure over its threshold, without some sensors, shape (n_sensors,)."""
         return np.abs(self._departed(state, excluded))
 
-    def _departed(self, state: WatchState, excluded: tuple[int, ...]) -> FloatArray:
-        maps, expected = self._map(excluded)
+    def _departed(self, state: WatchState, excluded: tuple[int, ...], lags: bool = True) -> FloatArray:
+        maps, expected = self._map(excluded, lags)
         widening = np.divide(expected, self._usual, out=np.ones_like(expected), where=self._usual > 0.0)
         limit_k = self._limit_k(state) * np.maximum(widening, 1.0)
         return np.asarray(maps @ (state.fast - state.slow) / limit_k)
@@ -379,7 +385,8 @@ class Watcher:
         departures = np.abs(state.departed)
         over = departures > 1.0
         if over.any():  # what began far from its surroundings, and is by now as training knows it, is no fault
-            over &= np.abs(self._departed(replace(state, slow=np.zeros_like(state.slow)), excluded)) > 1.0
+            whole = replace(state, slow=np.zeros_like(state.slow))  # by temperatures alone, where their past is unknown
+            over &= np.abs(self._departed(whole, excluded, lags=state.unknown <= LEAST_UNKNOWN)) > 1.0
         over_min = np.where(over, state.over_min + min(elapsed_min, 0.5 * CONFIRM_MIN), 0.0)
         if not (over_min >= CONFIRM_MIN).any():
             return replace(state, over_min=over_min)

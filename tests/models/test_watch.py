@@ -11,6 +11,7 @@ from models.thermal.features import lag_table
 from models.thermal.sensor_watch import SensorWatch, departure_maps, without_columns
 from models.thermal.training.folds import inner_folds
 from models.thermal.training.inputs import build_inputs
+from models.thermal.training.making import fit_start
 from models.thermal.training.watch_fit import fit_watch
 from models.thermal.watch import Watcher, WatchState, usual_step_k
 
@@ -346,3 +347,40 @@ def test_a_part_that_begins_off_its_surroundings_is_no_fault(
         degc = at_rest + share * off_k + rng.normal(0.0, 0.01, SENSORS)
         state = watcher.step(state, minute + 600.0 * after_gap, degc, speed_rpm)
     assert state.faults == (), "by now it is as training knows it"
+
+
+def shift(seed: int, hours: int = 8) -> Recording:
+    """A shift of one machine from a cold start on: four sensors between bodies that follow the spindle's heat."""
+    places, rng, time_min = np.random.default_rng(2), np.random.default_rng(seed), np.arange(60.0 * hours)
+    rpm = np.where((time_min // 30) % 2 == 0, np.repeat(rng.uniform(1000.0, 4000.0, 2 * hours), 30), 0.0)
+    quick = lag_table(time_min, ((rpm / 4000.0) ** 2)[:, None], (6.0,))[0]
+    body = np.hstack([quick, *lag_table(time_min, quick, (30.0, 200.0))])
+    shares = np.square(places.uniform(0.0, 1.0, (3, 4)))
+    degc = 22.0 + 20.0 * body @ (shares / shares.sum(axis=0)) + rng.normal(0.0, 0.02, (len(rpm), 4))
+    return Recording(
+        name=f"shift{seed}",
+        time_s=60.0 * time_min,
+        speed_rpm=rpm,
+        temperature_names=("T1", "T2", "T3", "T4"),
+        temperatures_degc=degc,
+        displacement_names=("c1",),
+        displacements_um=20.0 * body[:, :1],
+    )
+
+
+@pytest.mark.parametrize("drift_k_per_h", [0.0, 2.0])
+def test_a_machine_that_starts_warm_loses_no_healthy_sensor_and_still_finds_a_wrong_one(drift_k_per_h: float) -> None:
+    """Every run of training began cold, and this one after a break: its lags begin where they are not."""
+    cold = [shift(seed) for seed in range(4)]
+    inputs = build_inputs(cold, sample_s=60.0)
+    rows = np.ones(inputs.rows, dtype=np.bool_)
+    watcher = Watcher(fit_watch(cold, 60.0, rows, inner_folds(inputs, rows)[0]))
+    start = fit_start(inputs, rows, np.zeros((inputs.layout.columns, 1)))
+    for today in map(shift, range(20, 24)):
+        assert today.speed_rpm is not None
+        degc, rpm = today.temperatures_degc[270:].copy(), today.speed_rpm[270:]
+        degc[:, 2] += drift_k_per_h / 60.0 * np.maximum(np.arange(len(degc)) - 60.0, 0.0)
+        state = watcher.begin(0.0, degc[0], float(rpm[0]), start.unknown_at_start(degc[0]))
+        for row in range(1, len(degc)):
+            state = watcher.step(state, float(row), degc[row], float(rpm[row]))
+        assert [fault.sensor for fault in state.faults][:1] == ([2] if drift_k_per_h else [])

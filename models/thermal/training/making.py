@@ -29,7 +29,7 @@ FEWEST_BEGINNINGS = 3
 
 
 def fit_start(inputs: Inputs, rows: BoolArray, coefficients: FloatArray) -> StartDeviation:
-    """Return what training says of lags that begin at equilibrium.
+    """Return what training says of lags that begin at equilibrium, those of the watch of the sensors too.
 
     `inputs`, `rows`: training rows. `coefficients`, shape (layout.columns, n_channels): of a model that is linear in
     the features, or nearly so [um per unit of the feature].
@@ -43,14 +43,14 @@ def fit_start(inputs: Inputs, rows: BoolArray, coefficients: FloatArray) -> Star
         speed = speed_inputs(inputs.speed_rpm[rows], inputs.speed_scale_rpm)
         for first in range(layout.temperature_columns, layout.columns, 2):
             added.append((features[:, first : first + 2] - speed) @ coefficients[first : first + 2])
-    table = np.stack(added)  # lag, row, channel
+    table = np.stack(added) if added else np.zeros((0, len(features), len(inputs.channels)))  # lag, row, channel
     moments = np.einsum("lnc,mnc->clm", table, table) / max(table.shape[1], 1)
     pattern = degc - degc.mean(axis=1, keepdims=True)
     run = inputs.run[rows]
     begins = np.flatnonzero(np.concatenate([[True], np.diff(run) != 0]))
     rest = pattern[begins].mean(axis=0)
     return StartDeviation(
-        covariance_um2=moments.reshape(-1, len(added)),
+        covariance_um2=moments.reshape(len(added) * len(inputs.channels), len(added)),
         signal_um=_signal_um(inputs, rows),
         rest_degc=rest,
         spread_k=float(np.sqrt(np.mean(np.square(pattern - rest)))),
@@ -137,7 +137,7 @@ def make_linear_model(fitted: Fitted) -> LinearModel:
         created=fitted.created,
         axis_positions=inputs.axis_positions,
         pivots_mm=fitted.pivots_mm,
-        start=fit_start(inputs, rows, fit.coefficients) if lagged else None,
+        start=fit_start(inputs, rows, fit.coefficients),
         test_vectors=tuple(
             TestVector(
                 features=features[row].copy(),

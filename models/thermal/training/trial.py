@@ -11,9 +11,11 @@ from models.thermal.bias import BiasFilter
 from models.thermal.features import BoolArray, IntArray, lag_table
 from models.thermal.sensor_watch import SensorWatch
 from models.thermal.solution import band_factor
+from models.thermal.start import StartDeviation
 from models.thermal.training.domain import farthest_leverage, leverage_positions
 from models.thermal.training.families import Fit
 from models.thermal.training.inputs import Inputs
+from models.thermal.training.making import fit_start
 from models.thermal.training.probing import probed_residual_um
 from models.thermal.watch import SensorFault, Watcher, WatchState
 
@@ -102,6 +104,9 @@ class Tester:
     ) -> None:
         self._inputs, self._probe_min, self._bias_filter = inputs, probe_min, bias_filter
         self._watcher = None if watch is None else Watcher(watch)
+        self._start: StartDeviation | None = None
+        if trained is not None and not inputs.axis_positions:  # where axes have dwelt shows in no temperature
+            self._start = fit_start(inputs, trained, fit.coefficients)
         self._fits: dict[tuple[int, ...], Fit] = {(): fit}
         self._states: dict[int, list[WatchState]] = {}
         self._points = np.zeros((inputs.rows, 0))
@@ -169,9 +174,9 @@ class Tester:
             & (inputs.time_min[: first + 1] >= inputs.time_min[first] - HISTORY_MIN)
         )
         began = int(before[0])
-        state = self._watcher.begin(
-            float(inputs.time_min[began]), self._measured_degc(inputs.degc, began), self._speed(began)
-        )
+        degc = self._measured_degc(inputs.degc, began)  # all of them temperatures, where a start is known
+        unknown = 0.0 if self._start is None else self._start.unknown_at_start(degc)
+        state = self._watcher.begin(float(inputs.time_min[began]), degc, self._speed(began), unknown)
         for row in before[1:]:
             degc = self._measured_degc(inputs.degc, int(row))
             state = self._watcher.step(
