@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import yaml
-from cnc_program import PROBES, Block
+from cnc_program import PROBES, TOOLS, Block
 from cnc_wire import COUNTED, RUN_CODES, TOOLS_COUNTED, as_it_comes
 from nc_requests import ACKNOWLEDGE, AXIS, COUNTER, KIND, VALUE
 
@@ -194,6 +194,12 @@ def another_tool(shop: Shop) -> None:
     usual = shop.nc.tool_number
     shop.change_tool(5)
     shop.undo.append((shop.turn_number + shop.rng.randrange(1, 12), lambda: shop.change_tool(usual)))
+
+
+def next_tool_prepared(shop: Shop) -> None:
+    """The program gets the next tool ready where it has named the one that cuts, and the control shows it."""
+    if shop.rig is not None and shop.rig.control._measured.tool._named is not None:
+        shop.served.face.prepared = shop.rng.choice(TOOLS)
 
 
 def nose_silent(shop: Shop) -> None:
@@ -398,6 +404,8 @@ EVENTS: dict[str, Callable[[Shop], None]] = {
     "another block": shows("sequence_number", 900, 20),
     "another tool": another_tool,
     "another tool again": another_tool,
+    "next tool prepared": next_tool_prepared,
+    "next tool prepared then": next_tool_prepared,
     "nose silent": nose_silent,
     "nose silent again": nose_silent,
     "macro refused": refuses,

@@ -86,7 +86,7 @@ class Shop:
             nc.macros.set(number, 0.0)
         nc.guard.initialise(nc.macros, nc.clock_s)
         self._begin_timer(nc.clock_s)
-        served.face.nc, served.face.alarm, served.face.mode = nc, 0, ModeCode.MEM
+        served.face.nc, served.face.alarm, served.face.mode, served.face.prepared = nc, 0, ModeCode.MEM, None
 
         def open_driver() -> Cnc:
             return open_cnc(bench.configuration, bench.clock)
@@ -155,7 +155,7 @@ class Shop:
         """
         if number == self.nc.tool_number and not named:
             return
-        self.nc.tool_number, self.judge.cold_degc = number, self.judge.degc
+        self.nc.tool_number, self.judge.cold_degc, self.served.face.prepared = number, self.judge.degc, None
         self.nc.macros.set(TOOLS_COUNTED, (self.nc.macros.get(TOOLS_COUNTED) or 0.0) + 1.0)
 
     def applied(self) -> dict[str, float]:

@@ -108,9 +108,15 @@ class Face:
     def __init__(self) -> None:
         self.alarm, self.mode = 0, ModeCode.MEM
         self.positions_mm: dict[str, float] = {}
+        self.prepared: int | None = None
+        """The tool that is got ready while another one cuts, on a control that shows the latest T word."""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.nc, name)
+
+    @property
+    def tool_number(self) -> int:
+        return self.nc.tool_number if self.prepared is None or self.nc.program != 1000 else self.prepared
 
     @property
     def run(self) -> int:
