@@ -7,6 +7,7 @@ file has and the store has no longer, or never had, stays in it.
 import hashlib
 import io
 import json
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -46,6 +47,9 @@ ONE_PAGE = 2**30
 TIME = "time_utc"
 HINTS = {
     "ACCESS_DENIED": "check the keys in the unit's environment, their rights there, and this computer's clock",
+    "INVALID_ACCESS_KEY_ID": "check AWS_ACCESS_KEY_ID in the unit's environment",
+    "SIGNATURE": "check AWS_SECRET_ACCESS_KEY in the unit's environment",
+    "configured region": "check `region=` in `folder`",
     "NO_SUCH_BUCKET": "there is no such bucket: check `folder`",
     "NETWORK_CONNECTION": "check `folder`, the network, and that the server runs",
     "Errno 28]": "free space on its disk",
@@ -68,18 +72,24 @@ class ParquetSink:
         self._where = f"sink {config.name}: {self._place}"
         self._files: _Files | None = None
         self._look_after_s = float("-inf")
+        if not (folder := self._config.folder).startswith("/"):
+            self._reach(f"{folder}{'&' if '?' in folder else '?'}region=none" if folder.startswith("s3:") else folder)
 
     def open(self, cursor: Cursor) -> Mapping[str, Position]:
         """Reach the folder or the bucket; the cursor says how far it is."""
         folder = self._config.folder
+        self._files = _Folder(Path(folder)) if folder.startswith("/") else self._reach(folder)
+        return cursor.positions
+
+    def _reach(self, address: str) -> "_ObjectStore":
+        """Return an object store; the network is asked only where the address of a bucket names no region."""
         try:
-            self._files = _Folder(Path(folder)) if folder.startswith("/") else _ObjectStore(folder)
+            return _ObjectStore(address)
         except (OSError, ValueError) as error:
-            why = str(error).replace(folder, self._place)
+            why = str(error).replace(address, self._place)
             if "parse URI" in why:
                 why += ": in a key, / is written %2F and + %2B; better put the keys into the unit's environment"
             raise SinkError(f"{self._where} cannot be reached: {why}") from None
-        return cursor.positions
 
     def close(self) -> None:
         """Nothing stays open."""
@@ -116,8 +126,9 @@ class ParquetSink:
                 return 0
             self._files.put(name, content)
         except OSError as error:
-            hint = next((hint for sign, hint in HINTS.items() if sign in str(error)), "it is tried again")
-            raise SinkError(f"{self._where}: {name} cannot be written: {error}: {hint}") from error
+            why = re.sub(r" \(Request ID: [^)]*\)", "", str(error))  # another one every time would be a new problem
+            hint = next((hint for sign, hint in HINTS.items() if sign in why), "it is tried again")
+            raise SinkError(f"{self._where}: {name} cannot be written: {why}: {hint}") from error
         except (pyarrow.ArrowException, KeyError) as error:
             raise SinkError(
                 f"{self._where}: {name}: what stands there is no such file, or damaged: move it away ({error})"

@@ -178,6 +178,11 @@ def with_sinks(folder: Path, *sinks: dict[str, Any]) -> tuple[int, str]:
         ({"driver": "postgresql", "postgresql": {"host": "db", "ca_certificate": "monitor.key"}}, "in PEM"),
         ({"driver": "webhook", "webhook": {"url_file": "trusted"}}, "`url_file`"),
         ({"driver": "parquet", "parquet": {"folder": "/missing/folder"}}, "/missing/folder: there is no such folder"),
+        (
+            {"driver": "parquet", "parquet": {"folder": "s3://plant/x?regoin=eu-central-1"}},
+            "parameter in S3 URI: 'regoin'",
+        ),
+        ({"driver": "parquet", "parquet": {"folder": "s3://K:S/T@plant/x"}}, "in a key, / is written %2F"),
     ],
 )
 def test_what_a_sink_needs_and_does_not_find_is_named_before_it_runs(

@@ -128,6 +128,7 @@ def test_messages_that_are_no_rows_are_counted_in_the_status_and_do_not_fill_the
     finally:
         stop.set()
         store.join()
+        broker.kill()
     said = next(each for each in told if "were left out" in each)
     assert f"were left out, the last one: {TOPIC}: `kind` is missing" in said
     assert int(re.search(r"(\d+) of them are no rows", said)[1]) >= 100
