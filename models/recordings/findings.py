@@ -20,6 +20,7 @@ from models.recordings.plausibility import (
 )
 from models.recordings.sensor_agreement import FEWEST_PARTS, Disagreement, disagreements
 from models.records import FloatArray
+from models.units import ZERO_CELSIUS_K
 
 SMALLEST_SPAN_UM = 0.5
 """All channels moving less than this while the machine warms are not in micrometres."""
@@ -287,10 +288,19 @@ def _impossible(recording: Recording) -> Iterator[Finding]:
             row, count = int(np.argmax(wrong[:, column])), int(wrong[:, column].sum())
             others = f" ({count} such values, the first here)" if count > 1 else ""
             sentence = (
-                f"{table[row, column]:.6g} {unit} cannot be{others} and counts as missing; check the sensor and "
+                f"{_as_read(table[row, column], unit)} cannot be{others} and counts as missing; check the sensor and "
                 "its wire, and leave the field empty where a value is wrong"
             )
             yield _warning(names[column], recording.rows_before + row + 1, sentence)
+
+
+def _as_read(value: float, unit: str) -> str:
+    """Return a value with its unit, a temperature also as the file has it where it is round in another unit there."""
+    said = f"{value:.6g} {unit}"
+    for other, there in (("degF", 1.8 * value + 32.0), ("K", value + ZERO_CELSIUS_K)) if unit == "degC" else ():
+        if abs(there - round(there)) < 1e-6 < abs(value - round(value)):
+            return f"{said} ({there:.6g} {other})"
+    return said
 
 
 def _columns(recording: Recording, read: Recording, *, alone: bool) -> Iterator[Finding]:

@@ -10,12 +10,18 @@ LOWEST_DEGC = -50.0
 HIGHEST_DEGC = 150.0
 """None is hotter; a median above this is no temperature in degC (kelvin start at 253 here)."""
 SPIKE_K = 15.0
-"""No part goes so far within one row and comes back, within a tenth of it, in the next."""
+"""No part goes so far within one row and comes back, within a tenth of it, in another one ..."""
+SPIKE_ROWS = 5
+"""... so many rows later, or earlier."""
 FARTHEST_UM = 5000.0
 """No displacement sensor of a nest reaches so far from where it is most of the time."""
 USUAL_SPREAD_UM = 500.0
 """A channel whose values typically lie farther than this from their median is not in micrometres at all; and what lies
 apart from the others by more, with nothing between, such as -999, is none of them: what warms passes through."""
+ZERO_UM = 5.0
+"""Nor is exactly zero, now and then, where every other value is farther from it than this, ..."""
+ZERO_STEPS = 10.0
+"""... and than so many of the largest steps between those, in the order of their size."""
 RISE_START_K = 0.5
 """Where every temperature begins so near to zero, rises since the start were recorded: no workshop is so cold."""
 RISES_FROM_DEGC = 20.0
@@ -35,8 +41,12 @@ def impossible_temperatures(degc: FloatArray) -> BoolArray:
     `degc`, shape (n, n_sensors): temperatures [degC], NaN where missing.
     """
     wrong = (degc < LOWEST_DEGC) | (degc > HIGHEST_DEGC)
-    away = np.abs(np.diff(degc, axis=0)) > SPIKE_K
-    wrong[1:-1] |= away[:-1] & away[1:] & (np.abs(degc[2:] - degc[:-2]) < 0.1 * SPIKE_K)
+    for rows in range(1, min(SPIKE_ROWS, len(degc) - 2) + 1):
+        before, after = degc[: -rows - 1], degc[rows + 1 :]
+        within = np.stack([degc[place : place + len(before)] for place in range(1, rows + 1)])
+        away = (np.abs(within - before) > SPIKE_K).all(axis=0) & (np.abs(after - before) < 0.1 * SPIKE_K)
+        for place in range(1, rows + 1):
+            wrong[place : place + len(before)] |= away
     return _of_few(wrong, degc)
 
 
@@ -62,12 +72,16 @@ def impossible_displacements(displacements_um: FloatArray) -> BoolArray:
 
 
 def _apart(table: FloatArray) -> BoolArray:
-    """Return where values lie apart from those around the median of their column, see `USUAL_SPREAD_UM`."""
+    """Return where values lie apart from those around the median, see `USUAL_SPREAD_UM`, `ZERO_UM`, `ZERO_STEPS`."""
     found = np.zeros(table.shape, dtype=np.bool_)
     for place, column in enumerate(table.T):
         known = np.sort(column[np.isfinite(column)])
         group = np.cumsum(np.diff(known, prepend=known[:1]) > USUAL_SPREAD_UM)
         found[:, place] = np.isin(column, known[group != group[len(group) // 2]]) if len(known) else False
+        zeros, others = column == 0.0, known[known != 0.0]
+        if zeros.sum() > 1 and len(others) > 1 and not zeros[0]:  # it may have been set to zero where it begins
+            least_um = max(ZERO_UM, ZERO_STEPS * float(np.diff(others).max()))
+            found[:, place] |= zeros & bool(np.abs(others).min() > least_um)
     return found
 
 

@@ -56,6 +56,34 @@ def test_time_must_increase_and_the_row_is_named() -> None:
         replace(recording(), time_s=times)
 
 
+def test_an_impossible_temperature_is_told_as_the_file_has_it() -> None:
+    bad = spoilt("temperatures_degc", 1, slice(4, 6), (-9999.0 - 32.0) / 1.8)
+    assert "column t2, row 5: -5572.78 degC (-9999 degF) cannot be (2 such values" in sentences(bad)
+    assert "-999 degC cannot be" in sentences(spoilt("temperatures_degc", 1, 4, -999.0))
+
+
+def test_zeros_that_a_displacement_never_comes_near_count_as_missing_and_those_it_passes_through_do_not() -> None:
+    """A reader that wrote 0.00 in one row of fifty, where the channel stood at 100 um, was taken for the machine."""
+    good = recording()
+    um = good.displacements_um.copy()
+    um[:, 0] += 100.0
+    um[[3, 30], 0] = 0.0
+    bad = replace(good, displacements_um=um)
+    assert "column c1, row 4: 0 um cannot be (2 such values, the first here)" in sentences(bad)
+    assert np.flatnonzero(np.isnan(bad.without_impossible().displacements_um[:, 0])).tolist() == [3, 30]
+    set_to_zero = um - um[0]
+    set_to_zero[:2] = 0.0
+    for healthy in (good.displacements_um - good.displacements_um[30], um + 20.0, set_to_zero):
+        assert replace(good, displacements_um=healthy).without_impossible().displacements_um is healthy
+
+
+@pytest.mark.parametrize("count", [2, 3, 5])
+def test_a_temperature_that_goes_away_for_a_few_rows_counts_as_missing(count: int) -> None:
+    bad = spoilt("temperatures_degc", 1, slice(20, 20 + count), 0.0)
+    found = np.argwhere(np.isnan(bad.without_impossible().temperatures_degc))
+    assert found.tolist() == [[row, 1] for row in range(20, 20 + count)]
+
+
 def test_missing_values_are_a_warning_that_names_column_and_row() -> None:
     assert "column t2, row 5: 3 values are missing" in sentences(spoilt("temperatures_degc", 1, slice(4, 7), np.nan))
 
