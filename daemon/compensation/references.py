@@ -39,6 +39,7 @@ from models.thermal.estimation import UNSURE_UM
 KEPT_PERIOD_REAL_S = 10.0
 """How often the store gets what the CNC said [s of the wall clock]."""
 
+PUT_BACK = "somebody has put back or emptied the guard's macros, so what is applied is not known"
 ToThermal = ReferenceRequest | ReferenceEnded | ReferenceTakenUp
 """The messages to the thermal task."""
 Decided = Callable[[str], None]
@@ -129,7 +130,7 @@ class References:
     ) -> None:
         """Take one poll, asked for at `asked_s` [s], what was foreign in it, and what the CNC's block counts from."""
         if moved := await self._own_offset.changed(cnc, polled.macros) or self._unfit(polled, foreign, counted_id):
-            self.end(moved)
+            self.end(moved, for_good=moved == PUT_BACK)
         self.on_sample(polled, asked_s)
 
     def _unfit(self, polled: CncSample, foreign: list[str], counted_id: str | None) -> str:
@@ -138,7 +139,7 @@ class References:
         (then_s, *then), (now_s, *now) = ([each.macros.get(n) for n in self._echo] for each in (before, polled))
         went_back = then_s is not None and now_s is not None and now_s < then_s <= before.clock_s
         if (went_back or (foreign not in ([], known) and then != now)) and not power_cycled(before, polled):
-            return "somebody has put back or emptied the guard's macros, so what is applied is not known"
+            return PUT_BACK
         if counted_id == self._positioned[0]:
             self._positioned = ("", 0, now)
         identity, tool, stood = self._positioned
@@ -192,10 +193,10 @@ class References:
         """The reference is no longer waited for."""
         self.memory = reference.withdraw(self.memory, identity)
 
-    def end(self, why: str) -> None:
-        """End the reference in force, and what was asked for before."""
+    def end(self, why: str, *, for_good: bool = False) -> None:
+        """End the reference in force, and what was asked for before; `for_good`: and what tools were set by."""
         self._end_what_was_left(why)
-        self._step(reference.end(self.memory, why))
+        self._step(reference.end(self.memory, why, for_good=for_good))
 
     def rebase(self, found: Reference) -> None:
         """Take the temperatures of returned sensors, which were set anew."""

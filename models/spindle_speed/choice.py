@@ -140,9 +140,7 @@ def deepest_speed(
 ) -> SpeedChoice | None:
     """Return the speed that bears most within the tolerance to both sides, for when none bears depth and margin.
 
-    Its pocket bears the depth within the tolerance too.
-
-    None when even there the limiting depth is below the programmed one.
+    None when even there the limiting depth is below the programmed one. Its pocket bears the depth so too.
 
     The parameters are those of `choose_speed`; the margin of the demand is not asked for.
     """

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 from control_rig import Bench, Rig, running
+from nc_requests import TOOL_CHANGE, ask, requesting_bench, tool_2_set
 
 from models.control.state import OperatorRequest
 
@@ -73,6 +74,24 @@ async def test_macros_that_are_emptied_end_the_reference(tmp_path: Path) -> None
         await rig.follow(-20.0, -20.0, 60)
         assert rig.state == "HOLD" and "somebody has put back or emptied" in rig.control.reference_ended
         assert rig.applied == {"x": 0.0, "y": 20.0, "z": 20.0}
+
+
+async def test_they_end_the_tool_settings_too(tmp_path: Path) -> None:
+    """Before, T2 counted from what was applied when it was set, and what is applied counted from nothing: 8 um off."""
+    bench = requesting_bench(tmp_path)
+    async with running(bench.rig()) as rig:
+        await tool_2_set(rig, bench)
+        for number in (*range(500, 580), *range(590, 600)):
+            bench.nc.macros.set(number, 0.0)
+        await rig.follow(0.0, -12.0, 5)
+        assert rig.state == "FAULT" and rig.acknowledge("a person") == ""
+        await rig.follow(0.0, -12.0, 5)
+        assert any("settings of T2 have ended" in notice for notice in rig.control.journal.notices)
+        rig.set_reference("r2")
+        await rig.follow(0.0, 0.0, 5)
+        ask(bench, 1, TOOL_CHANGE, 0, 2.0)
+        await rig.follow(0.0, 0.0, 40)
+        assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(12.0, abs=0.11), "as it was positioned"
 
 
 @pytest.mark.parametrize("block", [503, 504, 505, 506])

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import yaml
-from cnc_program import PROBES, TOOLS, Block
+from cnc_program import PROBES, SETS, TOOLS, Block
 from cnc_wire import COUNTED, RUN_CODES, TOOLS_COUNTED, as_it_comes
 from nc_requests import ACKNOWLEDGE, AXIS, COUNTER, KIND, VALUE
 
@@ -312,8 +312,8 @@ def probes(shop: Shop) -> None:
 
 
 def jump(shop: Shop) -> None:
-    """The machine grows by more than the output may follow at once, but not while the work is being positioned."""
-    if shop.program.block.number == 100:
+    """The machine grows by more than the output may follow at once, but not while work or tool is being measured."""
+    if shop.program.block.number in (100, PROBES, SETS):
         shop.undo.append((shop.turn_number + 1, lambda: jump(shop)))
         return
     shop.judge.error[shop.rng.choice(list(shop.machine.places))] += shop.rng.choice([-8.0, 8.0])
