@@ -37,7 +37,7 @@ from daemon.monitor.commands import CommandDesk
 from daemon.monitor.control_socket import ControlSocket
 from daemon.monitor.status import StatusBoard
 from daemon.registry import PARTS, Parts
-from daemon.snapshots import DisplacementSnapshot, HistorySnapshot, ModelSnapshot, SnapshotBoard
+from daemon.snapshots import HistorySnapshot, SnapshotBoard
 from daemon.spindle_speed.output import SpindleSpeedOutput, open_planner
 from daemon.state_store.documents import DaemonAlive
 from daemon.state_store.store import StateStore
@@ -198,10 +198,11 @@ class Daemon:
             lambda: parts.load_model(configuration),
             take=inbox.put_nowait,
             report=self._report,
-            publish=self._publish_model,
+            publish=partial(setattr, self.snapshots, "model"),
         )
         self._links = Links(configuration, clock, parts, self._link, self._publish_links)
-        self._displacements = DisplacementLog(clock, self._on_displacement, self._report, self._publish_displacements)
+        publish = partial(setattr, self.snapshots, "displacements")
+        self._displacements = DisplacementLog(clock, self._on_displacement, self._report, publish)
         status = StatusBoard(configuration, clock, self.snapshots, self._telemetry.picture)
         actions = output_actions(self.control, self._switch_spindle_speed)
         self._commands = CommandDesk(status, self.snapshots, actions, configuration.compensation.axes)
@@ -346,12 +347,6 @@ class Daemon:
 
     def _publish_thermal(self) -> None:
         self.snapshots.thermal = thermal_snapshot(self.thermal)
-
-    def _publish_model(self, snapshot: ModelSnapshot) -> None:
-        self.snapshots.model = snapshot
-
-    def _publish_displacements(self, snapshot: DisplacementSnapshot) -> None:
-        self.snapshots.displacements = snapshot
 
     def _on_displacement(self, sample: DisplacementSample) -> None:
         self._history.displacement(sample)

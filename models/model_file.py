@@ -84,11 +84,7 @@ def _without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def _plain(array: FloatArray) -> Any:
-    return _without_nan(array.tolist())
-
-
-Numbers = Annotated[FloatArray, PlainValidator(_read_numbers), PlainSerializer(_plain)]
+Numbers = Annotated[FloatArray, PlainValidator(_read_numbers), PlainSerializer(lambda a: _without_nan(a.tolist()))]
 """A vector or matrix: lists of numbers in the file, which are exact; NaN is null there."""
 Packed = Annotated[npt.NDArray[np.floating[Any]], PlainValidator(_read_packed), PlainSerializer(_packed)]
 """A large matrix: in single precision in the file, and in memory when it comes from one."""

@@ -129,6 +129,10 @@ class BlockWriter:
         self.axes: set[str] = set()
         """Axes that were ever written with their enable bit set."""
 
+    def unwritten(self, session: CncSession) -> bool:
+        """Tell whether the guard may still apply what another run of the daemon has left in the block."""
+        return session.enabled and not self.counts["sent"]
+
     async def look_ahead(self, session: CncSession | None, command: CompensationCommand | None) -> None:
         """Read what stands in the block while the estimate that will be written is made: the two take as long."""
         if session is not None and command is not None and command.write and command.state is not OutputState.OFF:

@@ -29,7 +29,7 @@ from daemon.compensation.skill_monitor import SkillWatch
 from daemon.messages import EstimateComing, ReferenceRebased, ReferenceRefused, SensorsSinceReference
 from daemon.supervisor import raise_when_told_to_end
 from drivers.contract import DriverError, LinkError
-from models.control.compensation import follow_inhibit, step
+from models.control.compensation import begun_at, follow_inhibit, step
 from models.control.state import NO_REQUEST, Inhibit, OperatorRequest, OutputInputs, OutputMemory
 from models.records import (
     CompensationCommand,
@@ -133,7 +133,8 @@ class ControlTask:
             now_s = self._clock.now().monotonic_s
             await self._guarded(self._take_messages())
             estimate, self._fresh = self._fresh, None
-            if self._unseen_reference or self.requests or (self.session and self.session.lapsed):  # echo first
+            lapsed = self.session is not None and (self.session.lapsed or self.writer.unwritten(self.session))
+            if self._unseen_reference or self.requests or lapsed:  # echo first
                 await self._guarded(self._poll())
             if estimate is not None:  # before the poll: what is new does not wait for what is only looked at
                 await self._guarded(self._act(estimate))
@@ -223,6 +224,8 @@ class ControlTask:
             self._startup.settle_writes(self._parts.history, sample, session.echo, now)
             self.memory = self._startup.begin(session, now.monotonic_s, explained=not problems)
             self._measured.on_sample(sample, session.echo, self._estimate)
+        elif self.writer.unwritten(session):
+            self.memory = begun_at(self.memory, session.echo.applied_um)
         self._references.keep()
 
     # --- deciding and writing ------------------------------------------------------------

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Protocol
 
 from config.schema.service import HistoryConfig
 from daemon.history.columns.packer import packed_hours
-from daemon.history.columns.packing import PackedHour
 from daemon.history.database import HOUR_MS, connect_reader
 from daemon.history.engine import cause_in_words
 from daemon.history.intake import Commit
@@ -101,7 +100,7 @@ class Housekeeping:
         history = self._history
         async with aclosing(packed_hours(history.path, config, now_utc_s)) as hours:
             async for hour in hours:
-                await history.submit(partial(_store, hour, report))
+                report.packed_hours += await history.submit(partial(store_hour, hour=hour))
         held: Held = None
         if self._sinks:
             from daemon.history.cursors import held_positions  # noqa: PLC0415 (loaded only where there are sinks)
@@ -147,8 +146,3 @@ def _untaken_in_words(untaken: Mapping[str, int]) -> str:
         f"rows that a sink has not taken were deleted ({rows}), the oldest first: they had waited for it "
         "longer than history.keep_for_sinks_days; `toolpoint sink status` says what keeps the sink from taking more"
     )
-
-
-def _store(hour: PackedHour, report: HousekeepingReport, connection: sqlite3.Connection) -> None:
-    if store_hour(connection, hour):
-        report.packed_hours += 1

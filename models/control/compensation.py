@@ -100,6 +100,14 @@ def initial_memory(
     )
 
 
+def begun_at(memory: OutputMemory, applied_um: FloatArray) -> OutputMemory:
+    """Return the memory of an output that has written nothing yet, begun at a newer echo, shape (n_axes,) [um]."""
+    command_um = np.where(np.isfinite(applied_um), applied_um, memory.command_um)
+    begun = initial_memory(now_s=memory.since_s, applied_um=command_um, wanted=memory.wanted)
+    now = begun if memory.state is OutputState.OFF else memory
+    return replace(memory, command_um=command_um, state=now.state, reason=now.reason)
+
+
 def step(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> tuple[OutputMemory, CompensationCommand]:
     """Advance the output by one step.
 

@@ -46,6 +46,30 @@ async def test_a_restart_resumes_from_the_echo_with_the_same_reference(bench):
         assert rig.applied["z"] == pytest.approx(12.0, abs=0.11)
 
 
+@pytest.mark.parametrize("reference", [True, False])
+async def test_the_command_begins_where_the_guard_has_gone_before_the_first_write(bench, reference):
+    """A block of before the start that was ahead of the tool: the guard took it after the first poll."""
+    async with running(bench.rig()) as rig:
+        await rig.active(handshake=True)
+        for _ in range(30):
+            await rig.turn(rig.estimate(0.0, -10.0), safe=False)
+        rig.alive()
+    bench.clock.monotonic_s += 5.0
+    async with running(bench.rig(**({} if reference else {"model_id": "another"}))) as rig:
+        await rig.control._guarded(rig.control._poll())
+        at_start_um = rig.applied["z"]
+        bench.nc.safe_point()
+        begun_um = rig.applied["z"]
+        assert begun_um > at_start_um + 0.5
+        assert rig.control.writer.unwritten(rig.control.session)
+        await rig.turn(safe=False)
+        assert rig.state == "HOLD"
+        assert bench.nc.macros.get(Z) * 1000.0 == pytest.approx(begun_um, abs=1e-6)
+        assert not rig.control.writer.unwritten(rig.control.session)
+        await rig.turn()
+        assert rig.applied["z"] == pytest.approx(begun_um, abs=1e-6)
+
+
 async def test_a_restart_takes_the_reference_up_as_returned_sensors_have_set_it_anew(bench):
     async with running(bench.rig()) as rig:
         await rig.active(handshake=True)
