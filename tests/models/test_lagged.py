@@ -246,6 +246,17 @@ def test_where_an_axis_has_dwelt_is_unknown_at_first_and_after_a_gap_of_its_posi
     assert (state.unknown >= 0.9 * gone)[~estimator._past.of_speed].all()
 
 
+def test_a_model_without_lags_knows_from_its_file_how_far_the_past_of_its_watch_is_unknown() -> None:
+    made = train_family([machine(cycles=3)], "default", sample_s=60.0, created=CREATED).model
+    assert isinstance(made, LinearModel) and made.layout.lags_min == () and made.watch is not None
+    read = model_from_json(made.to_json(), "model.json")
+    assert isinstance(read, LinearModel) and read.start is not None
+    estimator = LinearEstimator(read)
+    for off_k, unknown in ((0.0, 0.1), (30.0, 1.0)):
+        state = estimator.begin(0.0, 22.0 + read.start.rest_degc + off_k * np.eye(SENSORS)[0], 0.0)
+        assert state.watch is not None and state.watch.unknown == unknown
+
+
 def test_a_temperature_that_hardly_moved_in_training_may_change_as_far_as_others(model: LinearModel) -> None:
     domain = model.domain
     width_k = domain.highest - domain.lowest
