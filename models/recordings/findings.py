@@ -130,14 +130,20 @@ def require_usable(recording: Recording, rows_together: int | None = None) -> tu
     return found
 
 
-def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
+def usable_recordings(
+    recordings: Sequence[Recording], *, rows_needed: bool = True
+) -> tuple[list[Recording], tuple[str, ...]]:
     """Return recordings that may be used together, each row once and without values that cannot be, and the warnings.
 
     Raises DatasetError naming every error of the first recording that has one, see `require_usable`, and where all of
     a recording is in another.
+
+    `rows_needed`: False where they may have fewer rows than variables, as something else is known of these.
     """
     recordings, overlaps = without_overlaps(recordings)
     together = sum(recording.rows for recording in recordings)
+    if not rows_needed:
+        together = max(together, len(recordings[0].temperature_names) + 1)
     found = [(r.name, finding) for r in recordings for finding in require_usable(r, together)]
     gaps = [(name, finding) for name, finding in found if finding.missing]
     if len(gaps) > MOST_NAMED:

@@ -188,6 +188,27 @@ def test_the_map_in_the_guide_is_one() -> None:
     assert set(parse_yaml_model(block, MachineMap, "guide").machines) == {"mill-1", "mill-2", "mill-3"}
 
 
+def test_a_sister_with_more_sensors_than_rows_takes_over_the_type(tmp_path: Path) -> None:
+    """One recording of five hours has 301 rows for the published machine's 302 sensors, and was refused."""
+    sensors = few_sensors(190)
+    config = write_configuration(tmp_path / "toolpoint.yaml", sensors)
+    for machine in MACHINES[:3]:
+        write_sister(tmp_path, machine, 2, sensors, hours=3.0)
+    write_map(tmp_path, machines={f"mill-{n}": {"recordings": [f"m{n}/*.csv"]} for n in MACHINES[:3]})
+    made = train(tmp_path, MACHINES[:3], "-o", str(tmp_path / "type.json"))
+    assert made.exit_code == 0, made.output
+    command = ["thermal", "train", str(tmp_path / "m1" / "day01.csv"), "-o", str(tmp_path / "model.json")]
+    alone = CliRunner().invoke(main, command)
+    assert alone.exit_code == 2 and "rows cannot determine 190 variables" in alone.output, alone.output
+    told = CliRunner().invoke(
+        main, [*command, "--prior", str(tmp_path / "type.json"), "-c", str(config), "--json", "-"]
+    )
+    assert told.exit_code == 0, told.output
+    found = json.loads(told.stdout)
+    assert found["hyper_parameters"]["taken_over"] == "a combination of the fleet's models"
+    assert found["model"]["sensors"] == 190
+
+
 def test_a_sister_takes_over_the_type_with_one_recording(fleet: Path, tmp_path: Path) -> None:
     made = train(fleet, MACHINES, "-o", str(tmp_path / "type.json"))
     assert made.exit_code == 0, made.output

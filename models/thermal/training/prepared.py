@@ -60,7 +60,7 @@ def prepare(
         lags_min, speed_lags_min = recipe.needed_lags_min or (lags.all_min, lags.all_speed_min)
         inputs = build_inputs(recordings, sample_s=sample_s, lags_min=lags_min, speed_lags_min=speed_lags_min)
     rows = wanted & inputs.trainable()
-    require_rows(inputs, wanted, rows)
+    require_rows(inputs, wanted, rows, fewest=None if recipe.rows_needed else 1)
     wrong = reversed_runs(inputs, rows) if recipe.lags else {}
     rows &= ~np.isin(inputs.run, list(wrong))
     fold, folds = inner_folds(inputs, rows, recipe.fewest_runs)
@@ -71,10 +71,14 @@ def prepare(
     return Prepared(inputs=inputs, rows=rows, fold=fold, folds=folds, problem=problem, reversed_runs=left_out)
 
 
-def require_rows(inputs: Inputs, wanted: BoolArray, rows: BoolArray) -> None:
-    """Raise DatasetError unless enough of the wanted rows are complete, naming the worst column."""
+def require_rows(inputs: Inputs, wanted: BoolArray, rows: BoolArray, *, fewest: int | None = None) -> None:
+    """Raise DatasetError unless enough of the wanted rows are complete, naming the worst column.
+
+    `fewest`: so many must be; None: more than there are temperatures.
+    """
+    fewest = inputs.layout.sensors + 1 if fewest is None else fewest
     measured = wanted & np.isfinite(inputs.measured_um).any(axis=1)
-    if rows.sum() > inputs.layout.sensors and rows.sum() >= LARGEST_INCOMPLETE_SHARE * measured.sum():
+    if rows.sum() >= fewest and rows.sum() >= LARGEST_INCOMPLETE_SHARE * measured.sum():
         return
     missing = (~np.isfinite(inputs.measured_um[wanted])).mean(axis=0)
     worst = int(np.argmax(missing))

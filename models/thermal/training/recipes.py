@@ -37,6 +37,8 @@ class Recipe:
     """With fewer runs than this, spindle cycles or blocks are left out in turn, and not runs."""
     needed_lags_min: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     """Lags of temperatures and of speed that it needs [min]; None: those that the rows can teach."""
+    rows_needed: bool = True
+    """The recordings must have more rows than temperatures; not where a type knows the rest."""
     make: Callable[[Fitted], ThermalModel] = make_linear_model
     """Makes the model of what was fitted."""
     advice: Callable[[Inputs, BoolArray, int], tuple[str, ...]] = advice

@@ -84,11 +84,11 @@ def train_family(
         Name of the one machine that the recordings are of; '' where it is not known.
 
     """
-    recordings, warnings = usable_recordings(recordings)
+    recipe = RECIPES[family] if isinstance(family, str) else family
+    recordings, warnings = usable_recordings(recordings, rows_needed=recipe.rows_needed)
     left_out = left_out_sensors(recordings, sample_s)
     kept = [name for name in recordings[0].temperature_names if name not in left_out]
     used = [with_sensors(recording, kept) for recording in recordings]
-    recipe = RECIPES[family] if isinstance(family, str) else family
     prepared = prepare(used, sample_s, recipe)
     inputs, rows, fold, problem = prepared.inputs, prepared.rows, prepared.fold, prepared.problem
     progress(1, 4)

@@ -50,6 +50,7 @@ def prior_recipe(of_type: MachineType, parts: Mapping[str, Part], machine: str) 
         prepare=partial(PriorProblem, of_type, parts, machine),
         lags=True,
         needed_lags_min=(layout.lags_min, layout.speed_lags_min),
+        rows_needed=False,
         make=partial(_make, of_type, parts, machine),
         advice=_advice,
     )
