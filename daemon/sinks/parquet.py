@@ -77,14 +77,13 @@ class ParquetSink:
 
     def open(self, cursor: Cursor) -> Mapping[str, Position]:
         """Reach the folder or the bucket; the cursor says how far it is."""
-        folder = self._config.folder
-        self._files = _Folder(Path(folder)) if folder.startswith("/") else self._reach(folder)
+        self._files = self._reach(self._config.folder)
         return cursor.positions
 
-    def _reach(self, address: str) -> "_ObjectStore":
-        """Return an object store; the network is asked only where the address of a bucket names no region."""
+    def _reach(self, address: str) -> "_Files":
+        """Return where files go; the network is asked only where the address of a bucket names no region."""
         try:
-            return _ObjectStore(address)
+            return _Folder(Path(address)) if address.startswith("/") else _ObjectStore(address)
         except (OSError, ValueError) as error:
             why = str(error).replace(address, self._place)
             if "parse URI" in why:

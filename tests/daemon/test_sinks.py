@@ -381,6 +381,19 @@ def test_the_command_without_the_section_says_where_to_read(tmp_path: Path) -> N
     assert done.exit_code == 2 and "there is no section `sinks`" in done.output
 
 
+def test_history_tells_the_last_cycle_of_each_line_in_words(tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    writer = writer_of(store, EPOCH_S)
+    try:
+        before = CliRunner().invoke(main, ["history", "--store", str(store)]).output
+        hour(writer, EPOCH_S)
+    finally:
+        writer.close()
+    assert "last cycle committed of each line: none yet" in before, before
+    after = CliRunner().invoke(main, ["history", "--store", str(store)]).output
+    assert "last cycle committed of each line: bed 12" in after, after
+
+
 def test_status_ends_with_1_unless_every_sink_runs_and_can_send(tmp_path: Path) -> None:
     store, path = tmp_path / "h.sqlite", tmp_path / "t.yaml"
     writer_of(store, EPOCH_S).close()

@@ -142,7 +142,8 @@ def _print_summary(content: dict[str, Any]) -> None:
         table.add_row(kind, f"{found['rows']:,}", found["first_utc"] or "-", found["last_utc"] or "-")
     console = Console()
     console.print(table)
-    console.print(f"sensors: {content['sensors']}; last cycle committed per line: {content['acknowledged_cycle']}")
+    cycles = ", ".join(f"{line} {number}" for line, number in content["acknowledged_cycle"].items()) or "none yet"
+    console.print(f"sensors: {content['sensors']}; last cycle committed of each line: {cycles}", markup=False)
     if open_writes := content["writes_without_outcome"]:
         console.print(f"writes without a known outcome: {open_writes}", style="yellow")
 
