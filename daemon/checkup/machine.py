@@ -35,6 +35,7 @@ from drivers.clock import Clock
 from drivers.contract import Capability, DriverError
 from models.errors import RefusedInputError
 
+LATEST_T = 4120
 CYCLES_WAITED = 2.5
 """A line must complete a cycle within so many periods."""
 
@@ -202,6 +203,8 @@ async def preflight(configuration: Configuration, clock: Clock, *, devices: bool
         yield finding
     if configuration.spindle_speed is not None:
         yield _spindle_speed(configuration)
+    for finding in _tool_number(configuration):
+        yield finding
     if not devices:
         return
     for finding in ports(configuration):
@@ -239,6 +242,18 @@ def _spindle_speed(configuration: Configuration) -> Finding:
         return Finding(subject="spindle speed", passed=False, detail=opened.inhibit, pending=pending)
     detail = f"{opened.model.in_words()}; {len(opened.operations)} operation(s) can be tuned"
     return Finding(subject="spindle speed", passed=True, detail=detail)
+
+
+def _tool_number(configuration: Configuration) -> Iterator[Finding]:
+    """Yield what to look at where the control may show the next tool in place of the one in the spindle."""
+    focas, axes = configuration.cnc.focas, configuration.compensation.axes.values()
+    if focas is not None and focas.tool_macro == LATEST_T and any(axis.tool_term for axis in axes):
+        detail = (
+            f"#{LATEST_T} is the latest T word: a tool that a program prepares in a cut would begin its tool_term. Let "
+            "programs name their tools by the handshake, or name the variable in which the machine's builder keeps the "
+            "tool in the spindle (cnc.focas.tool_macro), unless no program prepares one"
+        )
+        yield Finding(subject="tool in the spindle", passed=True, detail=detail)
 
 
 def _record(configuration: Configuration) -> Finding:

@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import pytest
+import yaml
 from scripted_machine import ScriptedNc
 
 from config.loader import load_configuration
@@ -49,6 +50,20 @@ def test_the_command_prints_what_it_finds():
     )
     assert finished.returncode in (0, 1), finished.stderr
     assert "package names" in finished.stdout and "Traceback" not in finished.stderr
+
+
+@pytest.mark.parametrize(("macro", "told"), [(None, True), (550, False)])
+async def test_of_a_tool_number_that_may_be_the_next_tool_s_it_says_so(tmp_path, macro, told):
+    path = tmp_path / "toolpoint.yaml"
+    content = yaml.safe_load(shipped_file("cfrpmt.yaml").read_text("utf-8"))
+    assert content["compensation"]["axes"]["z"]["tool_term"]
+    del content["cnc"]["opcua"]
+    focas = {"host": "127.0.0.1"} | ({} if macro is None else {"tool_macro": macro})
+    content["cnc"] |= {"driver": "focas", "focas": focas}
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    findings = preflight(load_configuration(path), SystemClock(), devices=False)
+    details = [finding.detail async for finding in findings if finding.subject == "tool in the spindle"]
+    assert ["#4120 is the latest T word" in detail for detail in details] == [True] * told
 
 
 async def test_a_line_whose_port_is_missing_is_named_once() -> None:
