@@ -242,8 +242,9 @@ def test_the_command_is_killed_and_the_broker_tells_that_it_is_gone(port: int, t
                 listener.until(lambda messages: listener.last("toolpoint/killed/status") == "offline")
             finally:
                 process.kill()
-    words = subprocess.run([*command, "status", "-c", str(config)], capture_output=True, check=True, text=True).stdout
-    assert f"plant (mqtt, 127.0.0.1:{port}/toolpoint)" in words and "NOT encrypted" in words
+    asked = subprocess.run([*command, "status", "-c", str(config)], capture_output=True, check=False, text=True)
+    assert asked.returncode == 1, "it does not run"
+    assert f"plant (mqtt, 127.0.0.1:{port}/toolpoint)" in asked.stdout and "NOT encrypted" in asked.stdout
 
 
 # --- what counts as taken ------------------------------------------------------------------

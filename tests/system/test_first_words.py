@@ -72,8 +72,9 @@ def test_the_sample_passes_the_check_and_says_what_is_still_to_come(tmp_path: Pa
 
 @pytest.mark.parametrize("key", ["model_file", "commissioning_file"])
 def test_what_the_configuration_names_and_is_not_there_is_a_failure(key: str, tmp_path: Path) -> None:
+    """Of a model that a person is to release, its folder: without that nothing can be released there."""
     content = yaml.safe_load(sample_configuration())
-    content["compensation"][key] = str(tmp_path / "missing.json")
+    content["compensation"][key] = str(tmp_path / "mistyped" / "missing.json")
     path = tmp_path / "toolpoint.yaml"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     found = toolpoint("check", "--no-devices", "--config", path)
