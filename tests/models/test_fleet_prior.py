@@ -158,6 +158,33 @@ def test_with_nothing_recorded_the_mean_of_the_fleet_is_a_model(of_type: Machine
     assert isinstance(again, LinearModel) and left_um(again, sister[4])[0] == pytest.approx(left, rel=1e-5)
 
 
+def followed(model: LinearModel, recording: Recording, *, on_at: int) -> float:
+    """Return how far the model is followed a quarter of an hour after the daemon began, with a reference at once."""
+    online = model.runtime(Machine(components={sensor.id: sensor.component for sensor in SENSORS}))
+    minutes = recording.downsampled(60.0)
+    degc = with_sensors(minutes, model.sensor_names).temperatures_degc
+    assert minutes.speed_rpm is not None
+    for at in range(on_at, on_at + 16):
+        online.on_sample(float(at), degc[at], float(minutes.speed_rpm[at]))
+        if at == on_at:
+            online.set_reference(OnlineReference(time_min=float(at), now_min=float(at), degc=degc[at]))
+    outcome, _ = online.estimate(float(on_at + 15), degc[on_at + 15], np.zeros(len(SENSORS), dtype=np.bool_))
+    assert outcome is not None
+    return outcome.confidence
+
+
+def test_the_mean_is_followed_from_switching_on_and_less_where_the_machine_is_hot_then(
+    of_type: MachineType, sister: list[Recording]
+) -> None:
+    """What a machine at rest adds by its lags the fleet's recordings tell; of one that was stopped hot nobody knows."""
+    model, _ = mean_of_type(of_type, NAMED, "sister", CREATED)
+    assert min(followed(model, one, on_at=0) for one in sister) > 0.99
+    hot = [followed(model, one, on_at=len(one.downsampled(60.0).time_s) - 30) for one in sister]
+    assert max(hot) < 0.95, hot
+    before, _ = mean_of_type(replace(of_type, start=None), NAMED, "sister", CREATED)  # of a file without it
+    assert followed(before, sister[0], on_at=0) < 0.1
+
+
 def test_the_gate_refuses_the_mean_of_a_fleet_that_does_harm_or_was_never_tried(of_type: MachineType) -> None:
     assert of_type.mean_leaves is not None and of_type.mean_leaves.shape == (3, len(CHANNELS))
     bad = of_type.mean_leaves.copy()

@@ -12,11 +12,13 @@ import numpy as np
 from models.recordings.dataset import DatasetError, Recording
 from models.recordings.findings import usable_recordings
 from models.records import FloatArray
-from models.thermal.features import BoolArray
+from models.thermal.features import BoolArray, canonical
+from models.thermal.start import StartDeviation
 from models.thermal.training.fleet.combination import own_ridge, taken_over, weighed
 from models.thermal.training.fleet.machine_type import COUNTS, MachineType
 from models.thermal.training.fleet.places import Part, matching
 from models.thermal.training.fleet.products import (
+    DESIGN,
     Products,
     Sample,
     Space,
@@ -35,6 +37,7 @@ from models.thermal.training.inputs import (
     unusable_sensors,
     with_sensors,
 )
+from models.thermal.training.making import fit_start
 from models.thermal.training.reversed_runs import turned_runs
 from models.thermal.training.trust import half_width_um
 
@@ -83,6 +86,8 @@ class Summary:
     farthest: FloatArray
     """Rows of `points`, since the first of their run, of all recordings, shape (n, k)."""
     pivots_mm: dict[str, float]
+    starts: tuple[StartDeviation, ...]
+    """What each recording says of lags that begin at equilibrium, with the machine's own model."""
     tested: Tested | None
     warnings: tuple[str, ...]
 
@@ -186,7 +191,8 @@ def machine_summary(
     squares: list[FloatArray] = []
     points: list[tuple[FloatArray, FloatArray]] = []
     lowest, highest, speed_rpm = np.full(len(of_type), np.inf), np.full(len(of_type), -np.inf), 0.0
-    for recording in in_places(kept, table, channels, sample_s):
+    placed = in_places(kept, table, channels, sample_s)
+    for recording in placed:
         inputs, reduced, rows = reduced_rows([recording], space)
         if not rows.any():
             continue
@@ -219,6 +225,11 @@ def machine_summary(
         highest_speed_rpm=speed_rpm,
         farthest=np.vstack([x for x, _ in points]).astype(np.float32),
         pivots_mm=dict(kept[0].pivots_mm),
+        starts=tuple(
+            _start(recording, space, own_model.weights)
+            for recording in placed
+            if recording.name in {names[at] for at in right}
+        ),
         tested=None
         if not tested
         else Tested(
@@ -233,6 +244,40 @@ def machine_summary(
             ),
         ),
         warnings=(*said, *warnings),
+    )
+
+
+def _start(recording: Recording, space: Space, weights: FloatArray) -> StartDeviation:
+    """Return what a recording in the places of a type says of lags that begin at equilibrium.
+
+    `weights`: of the machine's own model, shape (k, n_channels) [um].
+    """
+    layout = space.layout
+    inputs = build_inputs(
+        [recording],
+        sample_s=60.0 * space.period_min,
+        lags_min=layout.lags_min,
+        speed_lags_min=layout.speed_lags_min,
+    )
+    columns = canonical((space.directions @ weights) * space.gain[:, None], layout, DESIGN)
+    factor = speed_factors(layout, inputs.speed_scale_rpm / space.speed_scale_rpm)
+    return fit_start(inputs, inputs.trainable(), columns * factor[:, None])
+
+
+def start_of_type(starts: Sequence[StartDeviation]) -> StartDeviation:
+    """Return what the recordings of many machines say together of lags that begin at equilibrium.
+
+    `begun_k` is what is usual among them, root mean square: the largest of a whole fleet would let a machine that is
+    switched on warm pass for one at rest.
+    """
+    rest = np.mean([one.rest_degc for one in starts], axis=0)
+    away_k = [float(np.std(one.rest_degc - rest)) for one in starts]
+    return StartDeviation(
+        covariance_um2=np.mean([one.covariance_um2 for one in starts], axis=0),
+        signal_um=np.sqrt(np.mean([np.square(one.signal_um) for one in starts], axis=0)),
+        rest_degc=rest,
+        spread_k=float(np.sqrt(np.mean([one.spread_k**2 for one in starts]))),
+        begun_k=float(np.sqrt(np.mean(np.square(away_k)))),
     )
 
 
@@ -353,6 +398,7 @@ def machine_type(
         highest_speed_rpm=max(one.highest_speed_rpm for one in summaries),
         leverage_limit=max(farthest, 1e-12),
         band_um=band_um,
+        start=start_of_type([start for one in summaries for start in one.starts]),
     )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from models.model_file import ModelError, Numbers, Packed, family_of, file_text, record_of
 from models.records import FloatArray
 from models.thermal.family import MACHINE_TYPE
+from models.thermal.start import StartDeviation
 from models.thermal.training.fleet.places import Part
 from models.thermal.training.fleet.products import Space
 
@@ -47,6 +48,8 @@ class MachineType:
     mean_leaves: Numbers | None = None
     """Share of the RMSE that the mean of the other machines left on each machine that was left out, shape
     (n_left_out, n_channels); None: not known."""
+    start: StartDeviation | None = None
+    """What its recordings say of lags that begin at equilibrium; None: a file of a version that did not keep it."""
 
     def __post_init__(self) -> None:
         """Check what belongs together; raises ModelError."""

@@ -224,7 +224,8 @@ def mean_of_type(
     """Return the mean of the fleet's models on a machine of which nothing was recorded, and how far it may be trusted.
 
     What judges it are the machines that were left out when the type was learned: each was one of which nothing was
-    known. It carries no watch of its sensors, and a lag begins as if the machine had been at rest.
+    known. It carries no watch of its sensors, and what its lags are worth after a start is what the fleet's
+    recordings say.
 
     Raises DatasetError where the machine shares too few sensors with the type.
 
@@ -275,6 +276,9 @@ def mean_of_type(
         training=(),
         created=created,
         pivots_mm=dict(of_type.pivots_mm),
+        start=None
+        if of_type.start is None
+        else replace(of_type.start, rest_degc=sister.to_own @ of_type.start.rest_degc),
         test_vectors=tuple(
             TestVector(features=now, reference=then, elapsed_min=0.0, thermal_error_um=(now - then) @ weights)
             for now, then in ((warm, cold), (middle, cold))
