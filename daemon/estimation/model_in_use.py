@@ -11,6 +11,7 @@ import structlog
 from daemon.snapshots import Contributions
 from daemon.telemetry.metrics import give_memory_back
 from models.records import FloatArray, Reference
+from models.sensor_levels import OWN_K, Changes
 from models.thermal.estimation import Estimation, Machine, OnlineReference, Samples
 from models.thermal.family import ThermalModel
 
@@ -55,6 +56,8 @@ class ModelInUse:
         self.waits = "it was released just now"
         """Why it does not make the estimates yet, where another does; '' when nothing stands against it."""
         self._speed_known = True
+        self._lags_right_s = -np.inf
+        """Jumps until then are no more to be told from what a sensor had drifted."""
         give_memory_back()  # of reading the file and of preparing the model
 
     def prepare(self, now_s: float) -> None:
@@ -98,6 +101,7 @@ class ModelInUse:
         excluded: Mapping[int, str] | None = None,
         kept: Mapping[str, Any] | None = None,
         inputs: FloatArray | None = None,
+        jumps: Changes = (),
     ) -> None:
         """Count from this reference from now on; `inputs`: its temperatures with the axis positions behind them.
 
@@ -105,7 +109,10 @@ class ModelInUse:
         since (ID: sign) and with what a model has `kept`, this one or another; it may be read up in the
         history, which takes its time: call it in a thread then.
         """
-        then_s = reference.time.monotonic_s
+        then_s, jumped_k = reference.time.monotonic_s, np.zeros(len(self._inputs))
+        lags_right_s, self._lags_right_s = max(self._lags_right_s, now_s - self.memory_s), now_s
+        for at_s, place, jump_k in jumps:
+            jumped_k[self._inputs == place] += jump_k if at_s > lags_right_s else 0.0
         late = now_s - then_s > LATE_PERIODS * self._period_s
         stateless = self._online.history_min <= 0.0
         admitted = self._online.set_reference(
@@ -116,6 +123,7 @@ class ModelInUse:
                 history=self._samples(then_s, self._online.history_min) if late and not stateless else None,
                 excluded=excluded,
                 kept=kept,
+                jumped_k=np.where(np.abs(jumped_k) > OWN_K, jumped_k, 0.0),
             )
         )
         if admitted:

@@ -303,7 +303,8 @@ class ThermalTask:
         self._since.begin(reference)
         self._since.positions_mm = self._positions.set_reference(now.monotonic_s)
         if self._online is not None:
-            self._online.set_reference(reference, now.monotonic_s, inputs=self._positions.at_reference(degc))
+            inputs, jumps = self._positions.at_reference(degc), self._cleansing.levels.jumps
+            self._online.set_reference(reference, now.monotonic_s, inputs=inputs, jumps=jumps)
         log.info("reference.set", source=request.source, sensors=usable, of=len(degc))
         self._deliver(reference)
         if self.latest is not None and (first := self._estimate(self.latest)) is not None:

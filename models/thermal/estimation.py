@@ -68,6 +68,8 @@ class OnlineReference:
     """Of a reference that is resumed: sensors found wrong since (ID: sign). None: a new one admits all."""
     kept: Mapping[str, Any] | None = None
     """What this or another model kept since, see `OnlineModel.kept`."""
+    jumped_k: FloatArray | None = None
+    """By how much inputs have jumped since the lags were last put right [K], in the model's order; None: none has."""
 
 
 class OnlineModel(Protocol):

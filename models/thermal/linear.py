@@ -35,6 +35,9 @@ FAMILY = "linear"
 AGREES_MIN, AGREES_K, AGREES_UM = 30.0, 0.5, 0.5
 """For so long a sensor that slewed must be as the others expect it, and be worth so little, to count again."""
 
+BACK_SHARE = 0.5
+"""A jump to so much of the distance from where the others expect a sensor, or less, has brought it back."""
+
 
 class LinearOnline:
     """Advances the states once per sample of the training's period; estimates whenever it is asked.
@@ -125,7 +128,7 @@ class LinearOnline:
     def set_reference(self, reference: OnlineReference) -> tuple[int, ...]:
         """Keep the states at the reference; those of one that lies back come from its history."""
         before = self._state
-        readmitted_ids = self._readmit() if reference.excluded is None else ()
+        readmitted_ids = self._readmit(reference.jumped_k) if reference.excluded is None else ()
         self._left_out = dict(reference.excluded or {}) if self.model.watch is None else {}
         if self.history_min <= 0.0:
             state: ModelState | None = self._estimator.begin(reference.time_min, reference.degc)
@@ -135,9 +138,16 @@ class LinearOnline:
             state = self._now(reference.now_min, reference.degc)
         self._reference = None if state is None else state_reference(self._estimator, state)
         self._reference_min, self._anew = reference.time_min, set()
-        if readmitted_ids and before is not None and self._state is not None and self._reference is not None:
+        if (
+            reference.excluded is None
+            and before is not None
+            and self._state is not None
+            and self._reference is not None
+        ):
+            shift_degc = self._state.lagged - before.lagged
             self._anew = {i for i in map(self.model.sensor_ids.index, readmitted_ids) if not before.missing[i]}
-            self._reference = replace(self._reference, shift_degc=self._state.lagged - before.lagged)
+            self._anew |= set(np.flatnonzero(shift_degc.any(axis=0)).tolist())
+            self._reference = replace(self._reference, shift_degc=shift_degc)
         if reference.excluded is not None and self._state is not None:
             self._state = with_faults(self.model, self._state, reference.excluded)
         if reference.kept is not None:
@@ -252,24 +262,28 @@ class LinearOnline:
         self._anew = set(columns)
         self._state, self._reference = resumed(self._estimator, self._state, counted, columns)
 
-    def _readmit(self) -> tuple[int, ...]:
+    def _readmit(self, jumped_k: FloatArray | None) -> tuple[int, ...]:
         """Let sensors that were found faulty count again from a new reference on; return their IDs.
 
         What the watch remembers begins where the others expect it, and so do lags of a sensor that is as they expect
         it again: its past was wrong. One that is not keeps its own, and with them the distance from training, beyond
-        which the others expect and blame wrongly.
+        which the others expect and blame wrongly. Blamed or not, a sensor whose jumps have brought it to where they
+        expect it had drifted: at its level of now, what it said before is as wrong as that.
         """
-        if self._state is None or self._state.watch is None:
+        if self._state is None:
             return ()
-        out = self._state.watch.excluded
-        state = readmitted(self._state, out)
-        if here := [i for i in out if not state.missing[i]]:
+        out = () if self._state.watch is None else self._state.watch.excluded
+        state, sensors = readmitted(self._state, out), self.model.layout.sensors
+        jumped_k = np.zeros(sensors) if jumped_k is None else jumped_k
+        if here := [i for i in {*out, *np.flatnonzero(jumped_k).tolist()} if not state.missing[i]]:
             without = sorted({*here, *np.flatnonzero(state.missing).tolist()})
             from_centre = self._estimator.features(state) - self.model.centre
-            departed_k = np.abs(from_centre - self._estimator.left_out.imputed(from_centre, without))
-            as_expected = departed_k[: self.model.layout.sensors] <= AGREES_K
+            departed_k = (from_centre - self._estimator.left_out.imputed(from_centre, without))[:sensors]
+            as_expected = np.abs(departed_k) <= np.where(np.isin(np.arange(sensors), out), AGREES_K, -1.0)
+            as_expected |= (jumped_k != 0.0) & (np.abs(departed_k) <= BACK_SHARE * np.abs(departed_k - jumped_k))
             lagged = np.where(as_expected, self._estimator.begun(state, here).lagged, state.lagged)
-            state = self._estimator.reinitialised(replace(state, lagged=lagged), here)
+            again = [i for i in here if i in out or as_expected[i]]
+            state = self._estimator.reinitialised(replace(state, lagged=lagged), again)
         self._state = state
         return tuple(self.model.sensor_ids[i] for i in out)
 

@@ -15,6 +15,7 @@ from daemon.backup.manifest import Manifest
 from daemon.backup.restoring import disarm
 from models.control.state import OperatorRequest
 from models.records import FloatArray, OutputState
+from models.thermal.features import lag_table
 from models.thermal.linear import LinearModel
 
 pytestmark = pytest.mark.quiet
@@ -285,3 +286,42 @@ def test_nor_does_a_sensor_of_it_that_jumps_and_is_right_again(tmp_path: Path, w
     assert states[-1] is OutputState.ACTIVE
     followed = np.array([state is OutputState.ACTIVE for state in states])
     assert np.abs(off_um[80:][followed[80:]]).max() <= 0.5
+
+
+def drifts(sensor: int, span: range, codes: int) -> Disturbance:
+    """A node drifts by so many codes, and is right again at once."""
+
+    def disturb(loop: TwinLoop, moment: int, line: str, frames: Frames, _rng: np.random.Generator) -> Frames:
+        if _place(sensor)[0] != line or moment not in span:
+            return frames
+        return _said(loop, frames, sensor, round(codes * (moment - span.start) / len(span)))
+
+    return disturb
+
+
+def _knows_the_machine() -> LinearModel:
+    """The model to which lags are worth much, whose sensors say of each other what warm-ups of the machine do."""
+    time_min, rows = np.arange(240.0), []
+    for share, after_min in ((1.0, 10.0), (0.6, 20.0), (1.4, 30.0), (0.8, 120.0)):
+        degc = np.vstack([PLACE.degc(60.0 * max(minute - after_min, 0.0)) for minute in time_min])
+        rows.append(np.hstack([share * (degc - 20.0), *(share * (lag_table(time_min, degc, (1.0, 10.0)) - 20.0))]))
+    _, sizes, directions = np.linalg.svd(np.vstack(rows), full_matrices=False)
+    remaining = 1.0 / (1.0 + np.square(sizes))
+    (solution,) = AHEAD_OF_LAGS.solutions
+    return replace(AHEAD_OF_LAGS, solutions=(replace(solution, directions=directions.T, remaining=remaining),))
+
+
+KNOWS_THE_MACHINE = _knows_the_machine()
+
+
+@pytest.mark.parametrize("pauses", [(), (75,)], ids=["", "over a restart too"])
+@pytest.mark.parametrize("codes", [-64, -128])
+def test_a_sensor_that_had_drifted_and_jumps_back_leaves_nothing_behind_once_the_work_is_positioned(
+    tmp_path: Path, codes: int, pauses: tuple[int, ...]
+) -> None:
+    """What was read before a jump is told at the level of now, and was as wrong as the drift."""
+    how: dict[str, Any] = {"pauses": pauses, "positionings": (90,)}
+    off_um, states = run(tmp_path, drifts(0, range(5, 65), codes), PLACE, 160, KNOWS_THE_MACHINE, **how)
+    assert states[80] is OutputState.HOLD
+    assert states[-1] is OutputState.ACTIVE
+    assert np.abs(off_um[98:] - off_um[98]).max() <= 0.5
