@@ -57,6 +57,13 @@ class Configuration(Section):
             if axis.tool_term and (unknown := sorted(set(axis.tool_term.temperatures) - labels)):
                 at: KeyPath = ("compensation", "axes", name, "tool_term", "temperatures")
                 problems.append((at, f"no sensor carries the label {unknown}; there are {sorted(labels)}"))
+            if axis.tool_term and self.cnc.tells_prepared_tool and self.cnc.macros.request is None:
+                at = ("compensation", "axes", name, "tool_term")
+                sentence = (
+                    "needs the tool in the spindle, and #4120 is the latest T word, which may only prepare one: add "
+                    "cnc.macros.request, by which programs name their tools, or set cnc.focas.tool_macro"
+                )
+                problems.append((at, sentence))
         shown = self.cnc.temperature_macro
         if shown is not None and shown.sensor not in self.temperatures.sensor_ids:
             at = ("cnc", "temperature_macro", "sensor")

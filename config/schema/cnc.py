@@ -18,7 +18,7 @@ from config.schema.base import (
     Seconds,
     Section,
 )
-from config.schema.cnc_drivers import CncDriverConfig
+from config.schema.cnc_drivers import LATEST_T, CncDriverConfig
 from config.schema.guard import SHOWN, GuardConfig
 from config.schema.temperatures import expand_ranges
 
@@ -288,6 +288,11 @@ class CncConfig(CncDriverConfig):
     def takes_slopes(self) -> bool:
         """Whether this control's guard applies a slope along an axis."""
         return self.driver in ("opcua", "focas", "linuxcnc")
+
+    @property
+    def tells_prepared_tool(self) -> bool:
+        """Whether the number that is read is the latest T word: the tool of it may only be prepared."""
+        return self.focas is not None and self.focas.tool_macro == LATEST_T
 
     @property
     def watches_offset(self) -> bool:

@@ -213,6 +213,10 @@ class OpcUaConfig(CncConnection):
         return {} if self.security is None else self.security.secrets
 
 
+LATEST_T = 4120
+"""System variable of a FANUC that holds the latest T word, also where that only prepares a tool."""
+
+
 class FocasConfig(CncConnection):
     """FOCAS2/Ethernet connection to a FANUC control; the protocol encrypts nothing and knows no user."""
 
@@ -221,7 +225,11 @@ class FocasConfig(CncConnection):
     host: Host = Field(description="name or address of the control", examples=["192.168.10.20"])
     port: int = Field(8193, ge=1, le=65535, description="TCP port of its FOCAS2/Ethernet server")
     path: int = Field(1, ge=1, le=15, description="path (channel) of the control")
-    tool_macro: MacroNumber = Field(4120, description="variable that holds the number of the tool in the spindle")
+    tool_macro: MacroNumber = Field(
+        LATEST_T,
+        description="variable that holds the number of the tool in the spindle; 4120, the latest T word, may be that "
+        "of the next one: where tools differ, the output holds until the program has named its tool",
+    )
     motor_temperature_diagnosis: int | None = Field(
         None,
         ge=0,

@@ -35,7 +35,6 @@ from drivers.clock import Clock
 from drivers.contract import Capability, DriverError
 from models.errors import RefusedInputError
 
-LATEST_T = 4120
 CYCLES_WAITED = 2.5
 """A line must complete a cycle within so many periods."""
 
@@ -245,13 +244,12 @@ def _spindle_speed(configuration: Configuration) -> Finding:
 
 
 def _tool_number(configuration: Configuration) -> Iterator[Finding]:
-    """Yield what to look at where the control may show the next tool in place of the one in the spindle."""
-    focas, axes = configuration.cnc.focas, configuration.compensation.axes.values()
-    if focas is not None and focas.tool_macro == LATEST_T and any(axis.tool_term for axis in axes):
+    """Yield what a program has to do where the control tells which tool was called, not which is in the spindle."""
+    if configuration.cnc.tells_prepared_tool and any(a.tool_term for a in configuration.compensation.axes.values()):
         detail = (
-            f"#{LATEST_T} is the latest T word: a tool that a program prepares in a cut would begin its tool_term. Let "
-            "programs name their tools by the handshake, or name the variable in which the machine's builder keeps the "
-            "tool in the spindle (cnc.focas.tool_macro), unless no program prepares one"
+            "#4120 is the latest T word, which may only prepare a tool: the output holds until the program has named "
+            "the one in the spindle by the handshake, or cnc.focas.tool_macro names the variable in which the "
+            "machine's builder keeps it"
         )
         yield Finding(subject="tool in the spindle", passed=True, detail=detail)
 

@@ -70,6 +70,7 @@ class References:
         """The latest reference that was asked for and does not count yet, and then the tool, and what was echoed."""
         self.terms = {n: a.tool_term for n, a in configuration.compensation.axes.items() if a.tool_term is not None}
         self._expanding = frozenset(label for term in self.terms.values() for label in term.temperatures)
+        self.tells_prepared_tool = configuration.cnc.tells_prepared_tool
         self._clock = clock
         self._history = history
         self._store = StateStore(history, clock)
@@ -106,8 +107,7 @@ class References:
     @property
     def tools_differ(self) -> bool:
         """It matters which tool is in the spindle: one was set, or its own expansion counts."""
-        baseline = None if self.memory.record is None else self.memory.record.baseline
-        return bool(self._expanding) or (baseline is not None and bool(baseline.tools))
+        return bool(self._expanding or self.memory.tools_set)
 
     @property
     def tool_count(self) -> float | None:

@@ -97,6 +97,8 @@ class ToolInSpindle:
         When it shows the named one again, that one went and came, or is the next.
         """
         named = self._named
+        if named is None and self._references.tells_prepared_tool:
+            return (self.number, *self._references.memory.tools_set)
         if named is None or self._polled is None or (self._polled in (named[1], self.number) and not self._others):
             return ()
         return (*self._shown, self._polled, self.number)
@@ -110,7 +112,9 @@ class ToolInSpindle:
         if not self.in_question:
             return None
         text = f"the control shows T{self._polled}, and the NC program has named T{self.number}"
-        if self._polled == self.number:
+        if self._named is None:
+            text = f"T{self._polled} is the latest T word, and the NC program has not named the tool in the spindle"
+        elif self._polled == self.number:
             text = f"the control has shown T{self._others[-1]} since the NC program named T{self.number}"
         return Inhibit(
             code=InhibitCode.REFERENCE,

@@ -226,6 +226,12 @@ class ReferenceMemory:
         valid = self.state is ReferenceState.VALID and self.record is not None
         return self.record.reference if valid and self.record is not None else None
 
+    @property
+    def tools_set(self) -> tuple[int, ...]:
+        """Numbers of the tools that were set."""
+        baseline = None if self.record is None else self.record.baseline
+        return () if baseline is None else tuple(baseline.tools)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceRequest:

@@ -298,6 +298,39 @@ def test_tool_terms_that_cannot_work(change: dict[str, Any], key: str, sentence:
     assert sentence in problem.sentence
 
 
+@pytest.mark.parametrize(
+    ("tool_macro", "handshake", "told"), [(None, False, True), (None, True, False), (550, False, False)]
+)
+def test_a_tool_term_needs_a_tool_that_is_named_where_the_control_tells_the_latest_t_word_alone(
+    tool_macro: int | None, handshake: bool, told: bool
+) -> None:
+    content = sample()
+    content["compensation"]["axes"]["z"]["tool_term"] = TOOL
+    content["cnc"] |= {
+        "driver": "focas",
+        "focas": {"host": "10.0.0.2"} | ({} if tool_macro is None else {"tool_macro": tool_macro}),
+    }
+    del content["cnc"]["opcua"]
+    content["cnc"]["macros"].pop("request", None)
+    if handshake:
+        content["cnc"]["macros"]["writable"].append("524")
+        content["cnc"]["macros"]["request"] = {
+            "counter": 520,
+            "kind": 521,
+            "axis": 522,
+            "value_mm": 523,
+            "acknowledge": 524,
+        }
+    text = yaml.safe_dump(content)
+    if not told:
+        parse_yaml_model(text, Configuration, "f.yaml")
+        return
+    with pytest.raises(ConfigurationError) as refused:
+        parse_yaml_model(text, Configuration, "f.yaml")
+    assert [problem.key for problem in refused.value.problems] == ["compensation.axes.z.tool_term"]
+    assert "#4120 is the latest T word" in str(refused.value) and "cnc.macros.request" in str(refused.value)
+
+
 def test_limits_that_move_the_machine_have_no_default() -> None:
     content = sample()
     content["compensation"]["axes"]["z"] = {"estimate": "Z1"}

@@ -2,8 +2,9 @@
 
 import pytest
 from control_rig import running
-from nc_requests import REFERENCE, TOOL_CHANGE, answer, ask, requesting_bench, tool_2_set
+from nc_requests import REFERENCE, TOOL_CHANGE, Z_AXIS, answer, ask, requesting_bench, tool_2_set
 
+from config.schema.cnc_drivers import FocasConfig
 from daemon.messages import ReferenceEnded, ReferenceTakenUp
 
 
@@ -109,6 +110,40 @@ async def test_a_tool_that_is_prepared_in_the_cut_lends_its_setting_to_none_in_t
         await rig.follow(0.0, 0.0, 40)
         assert rig.state == "ACTIVE" and answer(bench) == 4.0
         assert rig.applied["z"] == pytest.approx(8.0 + 7.0, abs=0.11), "its own setting, and what came since"
+
+
+async def test_where_the_control_tells_the_latest_t_word_alone_nothing_is_followed_until_the_program_has_named_its_tool(
+    bench,
+):
+    """T2 is prepared while T1 cuts: neither its setting nor its expansion is that of the tool in the spindle."""
+    cnc = bench.configuration.cnc.model_copy(update={"focas": FocasConfig(host="192.168.10.20")})
+    bench.configuration = bench.configuration.model_copy(update={"cnc": cnc})
+    async with running(bench.rig()) as rig:
+        await rig.active(handshake=True)
+        ask(bench, 1, TOOL_CHANGE, 0, 2.0)
+        await rig.follow(0.0, -8.0, 40)
+        ask(bench, 2, REFERENCE, Z_AXIS)
+        await rig.follow(0.0, -8.0, 4)
+        ask(bench, 3, TOOL_CHANGE, 0, 1.0)
+        await rig.follow(0.0, -12.0, 30)
+        bench.nc.program = 2000
+        await rig.turn()
+        bench.nc.program = 1000
+        await rig.follow(0.0, -12.0, 5, reference_id="r1")
+        rig.set_reference("r2")
+        await rig.follow(0.0, 0.0, 10)
+        stood = rig.applied["z"]
+        for shown in (1, 2):
+            bench.nc.tool_number = shown
+            await rig.follow(0.0, -3.0, 40)
+            assert rig.state == "HOLD" and f"T{shown} is the latest T word" in rig.control.memory.reason
+            assert rig.applied["z"] == pytest.approx(stood, abs=0.01)
+        ask(bench, 4, REFERENCE, Z_AXIS)
+        await rig.follow(0.0, -3.0, 4)
+        assert answer(bench) == -4.0
+        ask(bench, 5, TOOL_CHANGE, 0, 1.0)
+        await rig.follow(0.0, -3.0, 40)
+        assert rig.state == "ACTIVE" and rig.applied["z"] == pytest.approx(stood + 3.0, abs=0.11)
 
 
 async def test_another_program_that_names_no_tool_has_what_the_control_shows(bench):

@@ -197,8 +197,9 @@ def another_tool(shop: Shop) -> None:
 
 
 def next_tool_prepared(shop: Shop) -> None:
-    """The program gets the next tool ready where it has named the one that cuts, and the control shows it."""
-    if shop.rig is not None and shop.rig.control._measured.tool._named is not None:
+    """The program gets the next tool ready, which the control shows; where it is believed, once this one is named."""
+    named = shop.rig is not None and shop.rig.control._measured.tool._named is not None
+    if named or shop.tells_latest_t:
         shop.served.face.prepared = shop.rng.choice(TOOLS)
 
 

@@ -19,12 +19,13 @@ import numpy as np
 from cnc_events import EVENTS, ONLY
 from cnc_machines import PROVED, RETREATS, bench_of, some_machine
 from cnc_program import ATTACKED, BEFORE, CALM, Block, Judge, PartProgram
-from cnc_wire import COUNTED, TOOLS_COUNTED, Served, serving
+from cnc_wire import COUNTED, OF_THE_BUILDER, TOOLS_COUNTED, Served, serving
 from control_rig import SENSOR_IDS, TURN_S, Rig, record_for, running
 from guard_bench import KeptTable
 from memory_cnc import MemoryNc
 from nc_requests import ACKNOWLEDGE, AXIS, COUNTER, KIND, VALUE
 
+from config.schema.cnc_drivers import LATEST_T
 from daemon.messages import ReferenceRequest
 from drivers.contract import Cnc
 from drivers.registry import open_cnc
@@ -66,6 +67,8 @@ class Shop:
         if self.tools_expand:
             self.machine = replace(self.machine, grows_um_per_k={"z": tools.choice((-3.3, 3.3))})
             self.many_tools |= tools.random() < 0.6
+        self.tells_latest_t = served.dialect == "focas" and self.tells == "handshake"
+        """The control tells the latest T word, and the program names its tool; else the builder's variable is read."""
         self.warms_k = tools.choice((-1, 1)) * tools.uniform(0.001, 0.005)
         """By how much the nose warms in a turn."""
         reference: dict[str, Any] = {"positioning_counter": COUNTED} if self.tells == "counter" else {}
@@ -76,6 +79,10 @@ class Shop:
         bench = self.bench = bench_of(self.machine, directory, **reference)
         expiry = "zero" if self.to_zero else "keep"
         reached = served.section(bench, served.wire.port, expiry, self.machine)
+        if reached.focas is not None:
+            macro = LATEST_T if self.tells_latest_t else OF_THE_BUILDER
+            focas = reached.focas.model_copy(update={"tool_macro": macro})
+            reached, served.server.responder.tool_macro = reached.model_copy(update={"focas": focas}), macro
         compensation = bench.configuration.compensation
         bench.configuration = bench.configuration.model_copy(update={"cnc": reached})
         nc = self.nc = bench.nc = MemoryNc(bench.configuration, bench.clock)
@@ -131,6 +138,11 @@ class Shop:
             nc.guard.at(nc.macros, nc.clock_s).run(nc.guard.programs.start)
             control.start_timer(self.bench.configuration.cnc.guard.timer, value)
             nc.guard.show(nc.macros, nc.clock_s)
+
+    @property
+    def tools_differ(self) -> bool:
+        """It matters to the daemon which tool is in the spindle."""
+        return self.tools_expand or self.many_tools
 
     def then(self, turn: int, event: "Callable[[Shop], None]") -> None:
         """Let something happen at a turn."""

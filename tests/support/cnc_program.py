@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 
 BEFORE, ATTACKED, CALM = 40, 80, 90
 """Turns of half a second until the output follows, in which things go wrong, and after them."""
-PROBES, CHANGES, SETS, OTHER_WORK = 60, 70, 80, 90
-"""N numbers of the blocks at which the work is measured, another tool comes, it is set, and the work offset changes."""
+NAMES, PROBES, CHANGES, SETS, OTHER_WORK = 55, 60, 70, 80, 90
+"""N numbers of the blocks at which the tool is named, the work is measured, another tool comes, it is set, and the work
+offset changes."""
 WORKS = (54, 55)
 """Work offsets of the program that has two."""
 TOOLS = (1, 2, 3)
@@ -158,7 +159,8 @@ class PartProgram:
 
     def _part(self) -> list[Block]:
         retreat = [Block(RETREATS, LONGEST_RETREAT)] if self.shop.zero_first else []
-        return [*retreat, *([Block(900, 2)] if self.shop.placed else []), Block(100, 5), *self._cuts()]
+        names = [Block(NAMES, 1)] if self.shop.tells_latest_t and self.shop.tools_differ else []
+        return [*names, *retreat, *([Block(900, 2)] if self.shop.placed else []), Block(100, 5), *self._cuts()]
 
     def _cuts(self) -> list[Block]:
         cuts = (Block(self.rng.choice((20, 30, 40)), self.rng.randrange(1, 5)) for _ in range(self.rng.randrange(3, 9)))
@@ -192,8 +194,8 @@ class PartProgram:
             await self._call_guard()
         elif self.block.number == PROBES:
             self._probe()
-        elif self.block.number == CHANGES:
-            self._change_tool()
+        elif self.block.number in (CHANGES, NAMES):
+            self._change_tool(nc.tool_number if self.block.number == NAMES else self.rng.choice(TOOLS))
         elif self.block.number == SETS:
             self._set_tool()
         elif self.block.number == OTHER_WORK:
@@ -225,10 +227,10 @@ class PartProgram:
         if (now := self.shop.judge.gone(self.shop.nc)) is not None:
             self._ask(PROBE, machine.numbers[axis] + 1, now[axis] / 1000.0)
 
-    def _change_tool(self) -> None:
+    def _change_tool(self, number: int) -> None:
         """Another tool comes into the spindle; where the program hands over what it does, it names it."""
         nc = self.shop.nc
-        self.shop.change_tool(self.rng.choice(TOOLS), named=self.shop.tells == "handshake")
+        self.shop.change_tool(number, named=self.shop.tells == "handshake")
         self.shop.said.append((self.shop.turn_number, f"T{nc.tool_number} comes"))
         if self.shop.tells == "handshake":
             self._ask(TOOL_CHANGE, value_mm=float(nc.tool_number))
@@ -250,7 +252,7 @@ class PartProgram:
 
     def answered(self) -> None:
         """Look for the answer, as the request program does, which gives up after a while."""
-        if not self.asked or self.block.number not in (100, PROBES, CHANGES, SETS):
+        if not self.asked or self.block.number not in (100, NAMES, PROBES, CHANGES, SETS):
             return
         macros, judge = self.shop.nc.macros, self.shop.judge
         answer = macros.get(ACKNOWLEDGE) or 0.0

@@ -24,6 +24,8 @@ COUNTED = 560
 """Macro that the program raises before every positioning, where it counts them."""
 TOOLS_COUNTED = 561
 """Macro in which the control counts tool changes."""
+OF_THE_BUILDER = 562
+"""Macro in which the machine's builder keeps the tool in the spindle."""
 RUN_CODES = {CncRun.RESET: 0, CncRun.STOP: 1, CncRun.HOLD: 2, CncRun.START: 3}
 STATE = ("mode", "run", "alarm", "program", "sequence_number", "clock", "power_on_count", "work_offset", "tool_number")
 OPC_UA: dict[str, dict[str, Any]] = {

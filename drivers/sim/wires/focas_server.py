@@ -46,7 +46,7 @@ class FocasResponder:
         self.most_blocks = 100
         """A request with more is refused whole."""
         self._nc = nc
-        self._tool_macro = tool_macro
+        self.tool_macro = tool_macro
         self._diagnosis = motor_temperature_diagnosis
         self.refused_functions: dict[int, int] = {}
         """Function -> the error with which it is refused: what an option or a switch of a real control does."""
@@ -108,7 +108,7 @@ class FocasResponder:
             return float(nc.work_offset)
         if number == ADDITIONAL_OFFSET:
             return 0.0
-        if number == self._tool_macro:
+        if number == self.tool_macro:
             return float(nc.tool_number)
         return nc.macros.get(number)
 
