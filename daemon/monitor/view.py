@@ -271,7 +271,7 @@ def _cnc(picture: Mapping[str, Any]) -> RenderableType:
     parts = (
         f"O{cnc['program']} N{cnc['sequence_number']}",
         f"{cnc['mode']}, {cnc['run']}{', ALARM' if cnc['alarm'] else ''}",
-        f"{cnc['spindle_speed_rpm']:.0f} 1/min, motor {cnc['motor_temperature_degc']:.0f} °C",
+        f"{number(cnc['spindle_speed_rpm'], 0, ' 1/min')}, motor {number(cnc['motor_temperature_degc'], 0, ' °C')}",
         f"T{cnc['tool_number']}, G{cnc['work_offset']}",
         f"{writes['verified']} of {writes['sent']} writes read back and equal",
     )

@@ -112,6 +112,15 @@ def test_where_the_machine_stands_is_said_in_english():
     assert "the machine is" not in shown(status_view(at_rest | {"cnc": None})), "nobody knows"
 
 
+@pytest.mark.parametrize(
+    ("unknown", "words"), [("spindle_speed_rpm", "–, motor 41 °C"), ("motor_temperature_degc", "motor –")]
+)
+def test_what_a_control_does_not_tell_is_a_dash(unknown, words):
+    """A Haas, LinuxCNC, or a FANUC without the number of the diagnosis: `toolpoint status` ended with a traceback."""
+    text = shown(status_view(PICTURE | {"cnc": PICTURE["cnc"] | {unknown: None}}))
+    assert words in text and "O1000 N200" in text
+
+
 @pytest.mark.parametrize("width", [80, 100, 200])
 def test_a_problem_is_shown_whole_and_no_word_of_it_is_cut(width):
     problem = (
