@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from models.control.axis_map import AxisSource, nose_errors_um, probe_wander, tool_terms_um
-from models.control.reference import tool_begin_degc
+from models.control.reference import tool_origin
 from models.control.reference_records import ReferenceMemory
 from models.records import FloatArray, ThermalErrorEstimate
 
@@ -44,8 +44,8 @@ def tool_term_um(
     sources: tuple[AxisSource, ...], estimate: ThermalErrorEstimate, reference: ReferenceMemory, tool_number: int
 ) -> FloatArray:
     """Return the tool's expansion per axis [um]; since the reference when the tool was in the spindle then."""
-    begin = tool_begin_degc(reference, tool_number, estimate.reference_id)
-    return tool_terms_um(sources, estimate.label_increment_degc, begin)
+    origin = tool_origin(reference, tool_number, estimate.reference_id)
+    return tool_terms_um(sources, estimate.label_increment_degc, origin.begin_degc, origin.before_um)
 
 
 def error_of_tool_point_um(

@@ -161,7 +161,10 @@ class MeasuredByNc:
         if self.tool_setting is not None:
             axis = self._limits.axes[self.tool_setting.index(True)]
             if axis in self._references.terms:  # one that is set on another axis goes on expanding along this
-                self.tool.begin(self.tool.number, self._look().estimate)
+                output, others = self._look(), self._references.terms.keys() - {axis}
+                um = () if output.inputs.tool_term_um is None else output.inputs.tool_term_um.tolist()
+                before_um = {name: each for name, each in zip(self._limits.axes, um, strict=False) if name in others}
+                self.tool.begin(self.tool.number, output.estimate, before_um=before_um)
             self._journal.say("tool", f"T{self.tool.number} set on axis {axis}")
         self.tool_setting = self.probe_um = self._probe = None
         return ""

@@ -1,12 +1,16 @@
 """Follows the tool in the spindle: its number, and from when its own expansion counts."""
 
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
 
 from daemon.compensation.references import References
 from models.control.reference import TOOL_UNKNOWN_S
 from models.control.reference_records import ToolOrigin, ToolSeen
 from models.control.state import Inhibit, InhibitCode
 from models.records import ThermalErrorEstimate
+
+NOTHING: Mapping[str, float] = MappingProxyType({})
 
 
 class ToolInSpindle:
@@ -123,14 +127,25 @@ class ToolInSpindle:
             "the one that is prepared (cnc.focas.tool_macro)",
         )
 
-    def begin(self, number: int, estimate: ThermalErrorEstimate | None, *, known: bool = True) -> None:
-        """Let the tool term of this tool count from now; `known`: it came within the last minute."""
+    def begin(
+        self,
+        number: int,
+        estimate: ThermalErrorEstimate | None,
+        *,
+        known: bool = True,
+        before_um: Mapping[str, float] = NOTHING,
+    ) -> None:
+        """Let the tool term of this tool count from now; `known`: it came within the last minute.
+
+        `before_um`: of axes along which it goes on from so much, since it is set on another one [um].
+        """
         self.number = number
         self._follow(estimate)
         if (kept := self._references.kept_id) is not None and kept != self._counted_from:
             self._count_from(kept)  # nothing has been estimated since the reference
         begin_degc = {label: increment if known else math.nan for label, (_, increment) in self._seen.items()}
-        self._references.tool_begins(ToolOrigin(number=number, begin_degc=begin_degc), kept, self._shown_s)
+        origin = ToolOrigin(number=number, begin_degc=begin_degc, before_um=before_um)
+        self._references.tool_begins(origin, kept, self._shown_s)
 
     def _count_from(self, reference_id: str | None) -> None:
         """Begin to follow the labels since a reference: what nobody has heard since had its increment of then."""

@@ -69,7 +69,10 @@ def probe_wander(sources: Sequence[AxisSource], estimate: ThermalErrorEstimate |
 
 
 def tool_terms_um(
-    sources: Sequence[AxisSource], label_increment_degc: Mapping[str, float], label_begin_degc: Mapping[str, float]
+    sources: Sequence[AxisSource],
+    label_increment_degc: Mapping[str, float],
+    label_begin_degc: Mapping[str, float],
+    before_um: Mapping[str, float],
 ) -> FloatArray:
     """Return the expansion of the tool in the spindle per axis since its term began.
 
@@ -78,8 +81,9 @@ def tool_terms_um(
 
     `sources`: one per axis, in the machine's order. `label_increment_degc`: change of each label's mean since the
     reference [degC]. `label_begin_degc`: what that change was when the tool came into the spindle [degC]; empty: it was
-    there at the reference.
+    there at the reference. `before_um`: what an axis had expanded before [um].
     """
     since = {label: value - label_begin_degc.get(label, 0.0) for label, value in label_increment_degc.items()}
-    terms = (0.0 if s.tool_term is None else tool_expansion_um(s.tool_term, since) for s in sources)
+    expanding = ((s.tool_term, before_um.get(s.axis, 0.0)) for s in sources)
+    terms = (0.0 if term is None else before + tool_expansion_um(term, since) for term, before in expanding)
     return np.array(list(terms), dtype=np.float64)

@@ -326,14 +326,13 @@ def _fading_k(record: ReferenceRecord, label: str, time_s: float) -> float:
     return float(Fading(amount=np.array([step_k]), since_min=began_min).at(time_s / 60.0)[0])
 
 
-def tool_begin_degc(
-    memory: ReferenceMemory, tool_number: int, estimate_reference_id: str | None
-) -> Mapping[str, float]:
-    """Return the increments of the labels since which a tool's expansion counts [K]; empty: since the reference."""
+def tool_origin(memory: ReferenceMemory, tool_number: int, estimate_reference_id: str | None) -> ToolOrigin:
+    """Return since when a tool's expansion counts; without any label: since the reference."""
     record = memory.record
-    if record is None or record.tool is None or estimate_reference_id != record.reference_id:
-        return MappingProxyType({})
-    return record.tool.begin_degc if record.tool.number == tool_number else MappingProxyType({})
+    ours = record is not None and estimate_reference_id == record.reference_id
+    if record is None or record.tool is None or not ours or record.tool.number != tool_number:
+        return ToolOrigin(number=tool_number, begin_degc=MappingProxyType({}))
+    return record.tool
 
 
 def tool_set_right(

@@ -91,6 +91,8 @@ class ToolOrigin:
     number: int
     begin_degc: Mapping[str, float]
     """Mean increment of each label when the tool came into the spindle [K]."""
+    before_um: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    """By axis, how far it had expanded already, where it was set since it came, on another axis [um]."""
     unheard: tuple[str, ...] = ()
     """Labels that had been silent when it came and have not spoken since: only this run knows what to begin at."""
 

@@ -286,3 +286,35 @@ async def test_a_tool_that_is_set_goes_on_expanding_along_an_axis_on_which_it_wa
         assert (rig.control._references.memory.record.tool is None) is counts_on
         await let_pass(rig, 60.0, 6.0)
         assert rig.applied["z"] == pytest.approx(16.0, abs=0.11)
+
+
+async def test_a_tool_that_is_set_on_one_axis_goes_on_expanding_along_another_that_expands_too(tmp_path):
+    """Before, the expansion began anew along both: along Y the tool went back by all of it, in ACTIVE."""
+    bench = expanding_bench(tmp_path)
+    compensation = bench.configuration.compensation
+    axes = compensation.axes | {"y": compensation.axes["y"].model_copy(update={"tool_term": TERM})}
+    compensation = compensation.model_copy(update={"axes": axes})
+    bench.configuration = bench.configuration.model_copy(update={"compensation": compensation})
+
+    def stands(rig: Rig, y_um: float, z_um: float) -> None:
+        assert rig.state == "ACTIVE", rig.control.memory.reason
+        assert [rig.applied[axis] for axis in "yz"] == pytest.approx([y_um, z_um], abs=0.11)
+
+    async with running(bench.rig()) as rig:
+        await warmed(rig)
+        stands(rig, 10.0, 14.0)
+        ask(bench, 1, REFERENCE, Z_AXIS)
+        await let_pass(rig, 60.0, 5.0)
+        assert answer(bench) == 1.0
+        stands(rig, 10.0, 14.0)
+        await let_pass(rig, 60.0, 6.0)
+        stands(rig, 12.0, 16.0)
+        rig.alive()
+    bench.clock.monotonic_s += 5.0
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        await let_pass(rig, 60.0, 6.0)
+        stands(rig, 12.0, 16.0)
+        bench.nc.tool_number = 7
+        await let_pass(rig, 90.0, 6.0)
+        stands(rig, 0.0, 4.0)

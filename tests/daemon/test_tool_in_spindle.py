@@ -132,7 +132,7 @@ def test_a_tool_counts_from_what_its_sensor_had_when_it_came_or_nobody_knows(com
             tool.on_sample(1 if time_s < comes_s else 2, now)
         elif time_s >= comes_s:
             tool.on_sample(2, now)
-    begin_degc = reference.tool_begin_degc(kept.memory, 2, "r1")["nose"]
+    begin_degc = reference.tool_origin(kept.memory, 2, "r1").begin_degc["nose"]
     if known:
         assert shown["nose"] - begin_degc == pytest.approx(22.6 - nose_degc(comes_s), abs=0.1)
     else:

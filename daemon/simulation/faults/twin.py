@@ -74,7 +74,8 @@ class Twin:
         self._recent: deque[tuple[float, FloatArray]] = deque()
         self._mean_degc: FloatArray = np.full(len(position), np.nan)
         self._label_means: dict[str, float] = {}
-        self._labels_then: dict[str, float] = {}
+        self._labels_then: dict[str, dict[str, float]] = {}
+        """Of each axis, means of the labels when the tool's expansion along it began to count [degC]."""
         self._model: str | None = None
         self._tool_number = 0
         self._reference_s = -math.inf
@@ -95,15 +96,14 @@ class Twin:
         for name, online in self._online.items():
             online.on_sample(time_s / 60.0, self._mean_degc[self._places[name]], speed_rpm)
         if tool_number != self._tool_number:
-            self._tool_number = tool_number
-            self._labels_then = self._label_means
+            self.tool_changed(tool_number)
         self._renew(time_s)
 
     def reference(self, time_s: float, model: str | None, applied_um: Mapping[str, float]) -> None:
         """Take a new reference: nothing moves, and the tool in the spindle is set by it."""
         self._renew(time_s)
         self._reference_s, self._offsets_return = time_s, True
-        self._labels_then = self._label_means
+        self._labels_then = dict.fromkeys(self._axes, self._label_means)
         for name, axis in self._axes.items():
             here = self._tool_number in axis.tools
             axis.tools = {
@@ -140,12 +140,12 @@ class Twin:
         self._renew(time_s)
         axis = self._axes[name]
         axis.tools[self._tool_number] = _Setting(um=applied_um, nose_um=axis.nose_um, offset_um=axis.offset_um)
-        self._labels_then = self._label_means
+        self._labels_then[name] = self._label_means
 
     def tool_changed(self, number: int) -> None:
         """Another tool is in the spindle: its own setting counts, and its expansion from now."""
         self._tool_number = number
-        self._labels_then = self._label_means
+        self._labels_then = dict.fromkeys(self._axes, self._label_means)
 
     def probed(self, name: str, deviation_um: float, applied_um: float) -> None:
         """A probe found a deviation with what is applied: it is cancelled."""
@@ -189,10 +189,8 @@ class Twin:
         term = self._tool_terms[name]
         if term is None:
             return 0.0
-        now = self._label_means
-        increment_k = sum(
-            weight * (now[label] - self._labels_then[label]) for label, weight in term.temperatures.items()
-        )
+        now, then = self._label_means, self._labels_then[name]
+        increment_k = sum(weight * (now[label] - then[label]) for label, weight in term.temperatures.items())
         return float(term.direction * term.length_mm * 1e-3 * term.expansion_um_per_m_k * increment_k)
 
     def _count_from(self, time_s: float, model: str | None) -> None:
