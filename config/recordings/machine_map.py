@@ -53,7 +53,8 @@ class MachineFiles:
 def load_machine_map(path: Path, recordings: Sequence[Path]) -> tuple[MachineFiles, ...]:
     """Return the machines of a map with their recordings; raises ConfigurationError with file and key."""
     one = load_yaml_model(path, MachineMap)
-    folder, whole = path.resolve().parent, {str(recording.resolve()): recording for recording in recordings}
+    whole = {str(recording.resolve()): recording for recording in recordings}
+    folder, folders = path.resolve().parent, {path.resolve().parent, path.absolute().parent}
     problems: list[Problem] = []
 
     def refuse(name: str, key: str, sentence: str) -> None:
@@ -66,8 +67,14 @@ def load_machine_map(path: Path, recordings: Sequence[Path]) -> tuple[MachineFil
     for name, entry in one.machines.items():
         own: list[str] = []
         for pattern in entry.recordings:
-            meant = normpath(folder / pattern), normpath(Path(escape(str(folder))) / pattern)
-            matches = [file for file in whole if file == meant[0] or fnmatchcase(file, meant[1])]
+            files = {normpath(each / pattern) for each in folders}
+            patterns = [normpath(Path(escape(str(each))) / pattern) for each in folders]
+            matches = [
+                file
+                for file, recording in whole.items()
+                for called in ({file, normpath(recording.absolute())},)  # with and without symbolic links
+                if called & files or any(fnmatchcase(each, one) for each in called for one in patterns)
+            ]
             if not matches:
                 missing = f"{pattern!r} is none of the recordings that were given"
                 refuse(name, "recordings", f"{missing}: give it on the command line, or take it out of the map")

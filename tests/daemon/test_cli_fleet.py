@@ -173,6 +173,39 @@ def test_a_bad_recording_is_named_and_the_type_learned_from_the_others(fleet: Pa
         assert f"{machine}: {why}" in result.stderr
 
 
+def test_a_recording_in_another_unit_costs_the_machine_nothing_but_that(fleet: Path, tmp_path: Path) -> None:
+    """The map of a machine holds for all its recordings, so nobody could say the unit of one."""
+    folder = tmp_path / "fleet"
+    shutil.copytree(fleet, folder)
+    wrong = sorted((folder / "m4").glob("*.csv"))[1]
+    comment, head, *rows = wrong.read_text().splitlines()
+    hot = [name.startswith("T") for name in head.split(",")]
+    cells = [zip(row.split(","), hot, strict=True) for row in rows]
+    warm = [",".join(str(1.8 * float(cell) + 32.0) if is_hot else cell for cell, is_hot in row) for row in cells]
+    wrong.write_text("\n".join([comment, head, *warm]) + "\n")
+    result = train(folder, MACHINES, "--json", "-")
+    assert result.exit_code == 1, result.output
+    found = json.loads(result.stdout)
+    assert [(one["machine"], Path(one["recording"]).name) for one in found["refused"]] == [("mill-4", wrong.name)]
+    assert "it looks like degF" in found["refused"][0]["why"]
+    assert {one["machine"]: one["recordings"] for one in found["machines"]}["mill-4"] == 3
+    assert "the models of 4 of 4 machines" in result.stderr
+
+
+def test_machines_are_found_behind_symbolic_links(fleet: Path, tmp_path: Path) -> None:
+    """Recordings of forty machines often lie where a link leads."""
+    for machine in MACHINES:
+        (tmp_path / f"m{machine}").symlink_to(fleet / f"m{machine}")
+    shutil.copy(fleet / "toolpoint.yaml", tmp_path)
+    write_map(tmp_path)
+    assert train(tmp_path).exit_code == 0
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "machines.yaml").symlink_to(fleet / "machines.yaml")
+    files = [str(path) for machine in MACHINES for path in sorted((fleet / f"m{machine}").glob("*.csv"))]
+    given = ["fleet", "train", *files, "--machines", str(tmp_path / "elsewhere" / "machines.yaml")]
+    assert CliRunner().invoke(main, given).exit_code == 0
+
+
 def test_too_few_machines_that_can_be_used_are_refused_with_each_reason(fleet: Path, tmp_path: Path) -> None:
     shutil.copytree(fleet, tmp_path / "fleet")
     for number, each in enumerate(sorted((tmp_path / "fleet").glob("m[234]/*.csv"))):

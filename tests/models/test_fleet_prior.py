@@ -23,7 +23,7 @@ from models.thermal.training.fleet.fleet import (
 from models.thermal.training.fleet.machine_type import MachineType, machine_type_from_json
 from models.thermal.training.fleet.places import Part, matching, places_of_type
 from models.thermal.training.fleet.prior import mean_of_type, prior_recipe
-from models.thermal.training.fleet.products import Products, products_of, space_of
+from models.thermal.training.fleet.products import Products, products_of, space_of, summed
 from models.thermal.training.inputs import with_sensors
 from models.thermal.training.train_family import FamilyTraining, train_family
 
@@ -192,6 +192,31 @@ def test_the_gate_refuses_the_mean_of_a_fleet_that_does_harm_or_was_never_tried(
     for leaves, said in ((None, "does not say"), (bad[:2], "does not say"), (bad, "120% of the error remains")):
         model, trust = mean_of_type(replace(of_type, mean_leaves=leaves), NAMED, "sister", CREATED)
         assert model.refused is not None and said in model.refused and trust.refused == model.refused
+
+
+def test_machines_of_a_few_rows_teach_and_spoil_nothing() -> None:
+    """Three of six recorded ten minutes each, fewer rows than sensors, and count by these."""
+    places = places_of_type([PARTS] * 3)
+    fleet = {f"m{number}": sister_recordings(number, 3, SENSORS, hours=3.0) for number in (1, 2, 3)}
+    short = {f"m{number}": sister_recordings(number, 1, SENSORS, hours=0.18) for number in (4, 5, 6)}
+    space = space_of([machine_sample(name, read, PARTS, places, CHANNELS, 60.0) for name, read in fleet.items()])
+    each = {
+        name: machine_summary(name, read, PARTS, places, CHANNELS, space, tested=False)
+        for name, read in (fleet | short).items()
+    }
+    summaries = list(each.values())
+    assert [one.products.rows < len(PARTS) for one in summaries] == [False] * 3 + [True] * 3
+
+    unseen = sister_recordings(9, 4, SENSORS, hours=3.0)
+    table = matching(places, PARTS, "sister")
+    left = []
+    for some in (summaries, summaries[:3]):
+        of_type = machine_type("mill", CREATED, places, CHANNELS, space, some, [])
+        tested = summed(
+            products_of(*reduced_rows([one], of_type.space)) for one in in_places(unseen, table, CHANNELS, 60.0)
+        )
+        left.append(float((tested.rmse_um(of_type.models.mean(axis=0)) / tested.rmse_um()).mean()))
+    assert left[0] < 1.25 * left[1], left
 
 
 def test_a_machine_that_lacks_a_sensor_takes_over_what_the_others_tell(

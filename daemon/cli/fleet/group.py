@@ -65,7 +65,7 @@ def train(
     _show(found)
     write_json(json_path, found)
     if found["refused"]:
-        refuse(f"left out, because they cannot be used: {_named(found['refused'])}", FAILED)
+        refuse(f"left out, because they cannot be used:{_named(found['refused'])}", FAILED)
 
 
 def _named(refused: list[dict[str, Any]]) -> str:
@@ -87,8 +87,8 @@ def _show(found: dict[str, Any]) -> None:
                 "little"
             )
     made = found["type"]
-    machines = len(found["machines"])
-    say(f"{made['type_id']}: {machines} machines, {made['sensors']} sensors, {made['directions']} directions")
+    of = f"the models of {len(made['machines_kept'])} of {len(found['machines'])} machines"
+    say(f"{made['type_id']}: {of}, {made['sensors']} sensors, {made['directions']} directions")
     if not found["left_out"]:
         return
     say("machines left out in turn; share of the error that is gone, mean (worst machine)")

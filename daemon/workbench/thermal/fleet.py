@@ -17,6 +17,7 @@ from daemon.workbench.thermal.reading import read_alike
 from drivers.files.recording_lines import read_beginning
 from models.errors import RefusedInputError
 from models.recordings.dataset import DatasetError, Recording
+from models.recordings.findings import require_usable
 from models.recordings.slopes import SLOPE_SUFFIX
 from models.thermal.training.fleet.fleet import (
     LeftOut,
@@ -304,8 +305,8 @@ def recording_map_of(files: MachineFiles) -> RecordingMap | None:
 def read_machine(files: MachineFiles) -> tuple[list[Recording], float, tuple[Refused, ...]]:
     """Return a machine's recordings, without axis positions, and the time between averaged rows [s].
 
-    A recording that cannot be read is left out and named; raises RefusedInputError where none can, or what is left
-    does not fit together.
+    A recording that cannot be read or used is left out and named; raises RefusedInputError where none can, or what is
+    left does not fit together.
     """
     one, paths, refused = recording_map_of(files), files.recordings, []
     try:
@@ -324,7 +325,10 @@ def read_machine(files: MachineFiles) -> tuple[list[Recording], float, tuple[Ref
 
 
 def _read(paths: Sequence[Path], one: RecordingMap | None) -> list[Recording]:
-    return temperatures_alone(read_alike(paths, one, lambda what, done, total: None))
+    read = temperatures_alone(read_alike(paths, one, lambda what, done, total: None))
+    for recording in read:
+        require_usable(recording, len(recording.temperature_names) + 1)  # however few rows it has
+    return read
 
 
 def _sample(one: Described, of_type: tuple[Part, ...], channels: tuple[str, ...]) -> Sample:

@@ -124,7 +124,7 @@ def usable_parts(
     `recordings`: with the same columns. `parts`: of each temperature. `sample_s`: time between averaged rows [s].
     """
     require_same_columns(recordings)
-    recordings, warnings = usable_recordings(recordings)
+    recordings, warnings = usable_recordings(recordings, rows_needed=False)
     plain = build_inputs(recordings, sample_s=sample_s, lags_min=(), speed_lags_min=())
     left_out = unusable_sensors(plain, np.ones(plain.rows, dtype=np.bool_))
     names = [name for name in recordings[0].temperature_names if name not in left_out]

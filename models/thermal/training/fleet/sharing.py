@@ -2,7 +2,8 @@
 
 A model that was fitted on a single recording, on a machine that was changed in the middle, or on one of another type
 tells the others little, and would spoil a plain mean. So the shares are those of a combination that leaves least of
-every machine's error, each machine told by the others alone; without anything to say they are even.
+every machine's error, each machine told by the others alone; without anything to say they are even, but for machines
+of fewer rows than usual, which count by these.
 """
 
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ from models.records import FloatArray
 from models.thermal.training.fleet.products import Products
 
 PULL = 1.0
-"""Pull of the shares towards even ones, over what a usual model explains; chosen on made-up types of machine."""
+"""Pull of the shares towards plain ones, over what a usual model explains; chosen on made-up types of machine."""
 
 
 class Sharing:
@@ -26,6 +27,8 @@ class Sharing:
         size = len(models)
         self._models = models
         self._grams, self._sides = np.empty((size, size, size)), np.empty((size, size))
+        rows = np.array([one.rows for one in products], dtype=np.float64)
+        self._counts = np.minimum(rows / np.median(rows), 1.0)
         usual_um2 = np.median([one.since_yy / one.rows for one in products], axis=0)
         for at, one in enumerate(products):
             moved = np.maximum(one.since_yy, usual_um2 * one.rows)
@@ -46,20 +49,20 @@ class Sharing:
         """Return the shares of some machines, none negative, of sum 1."""
         from scipy.optimize import nnls  # noqa: PLC0415 - never loaded by the resident daemon
 
-        count = len(places)
-        even = np.full(count, 1.0 / count)
+        count, counts = len(places), self._counts[list(places)]
+        plain = counts / counts.sum()
         if count < 3:
-            return even
+            return np.asarray(plain)
         grams, sides = self._grams[np.ix_(places, places, places)], self._sides[np.ix_(places, places)]
         others = 1.0 - np.eye(count)  # no machine is told by its own model
-        gram = (grams * others[:, :, None] * others[:, None, :]).sum(axis=0)
-        side = (sides * others).sum(axis=0)
+        gram = (grams * others[:, :, None] * (counts[:, None] * others)[:, None, :]).sum(axis=0)
+        side = (sides * counts[:, None] * others).sum(axis=0)
         strength = PULL * float(np.median(np.diag(gram)))
         if not strength > 0.0:
-            return even
+            return np.asarray(plain)
         lower = np.linalg.cholesky(gram + strength * np.eye(count))
-        found = nnls(lower.T, np.linalg.solve(lower, side + strength / (count - 1)))[0]
-        return np.asarray(found / found.sum()) if found.any() else even
+        found = nnls(lower.T, np.linalg.solve(lower, side + strength * plain * count / (count - 1)))[0]
+        return np.asarray(found / found.sum() if found.any() else plain)
 
 
 def usual_motion(moved_um: FloatArray) -> FloatArray:
