@@ -271,13 +271,13 @@ def _follow_model(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
         return replace(memory, model_id=inputs.model_id)
     if inputs.model_id is None or inputs.estimate_reference_id != memory.error_reference_id:
         return memory
-    shift = model_shift_um(memory)
-    if inputs.model_id != memory.model_id:
+    another, shift = inputs.model_id != memory.model_id, model_shift_um(memory)
+    if another:
         shift = np.full_like(memory.command_um, np.nan)
-    elif not np.isnan(shift).any():
+    begins = np.isnan(shift) & np.isfinite(inputs.thermal_error_um)
+    if not another and not begins.any():  # an axis without a model never begins, and says nothing of the others
         return memory
     before = memory.error_um if memory.error_um is not None else np.zeros(len(memory.command_um))
-    begins = np.isnan(shift) & np.isfinite(inputs.thermal_error_um)
     goes_on = before - inputs.thermal_error_um
     if inputs.follows is not None and inputs.follows[0] == memory.model_id:
         more = model_shift_um(memory) + inputs.follows[1]

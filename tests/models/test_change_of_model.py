@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from output_machine import LIMITS, Machine
 
 from models.control.baseline import request_um
+from models.control.state import OperatorRequest
 from models.records import OutputState
 
 errors = st.tuples(st.floats(-12.0, 12.0), st.floats(-12.0, 12.0)).map(np.array)
@@ -72,3 +73,13 @@ def test_a_model_without_an_estimate_for_an_axis_waits_there():
     np.testing.assert_allclose(machine.applied, [3.0, 20.0], atol=0.02)
     machine.set(thermal_error_um=np.array([7.0, -30.0])).step(60)
     np.testing.assert_allclose(machine.applied, [3.0, 20.0], atol=0.02)
+
+
+def test_on_a_machine_with_an_axis_without_a_model_a_moment_of_doubt_after_a_release_holds_no_longer_than_it_lasts():
+    machine = Machine().following(y=0.0).step(request=OperatorRequest(disable=frozenset({"y"})))
+    machine.set(model_id="m2", thermal_error_um=np.array([np.nan, -20.0])).step(5)
+    counted = machine.memory.counted_found_um, machine.memory.tools, machine.memory.model_shift_um
+    machine.set(confidence=0.0).step(5).set(confidence=1.0).step(5)
+    assert machine.memory.state is OutputState.ACTIVE
+    now = machine.memory.counted_found_um, machine.memory.tools, machine.memory.model_shift_um
+    assert all(one is other for one, other in zip(now, counted, strict=True)), "what a restart takes up is kept once"
