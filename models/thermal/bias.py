@@ -171,13 +171,14 @@ class BiasFilter:
 
     def _told(self, state: BiasState, residual_um: FloatArray, known: BoolArray, noise_um2: FloatArray) -> BiasState:
         """Return the state with what a measurement tells of the model's changes since the one before."""
-        elapsed_min = np.nan_to_num(state.time_min - state.told_min, nan=np.inf)
-        if self.correlation_min is None or not np.isfinite(self.wander_um2_per_min).all():
+        if self.correlation_min is None or not (modelled := np.isfinite(self.wander_um2_per_min)).any():
             return state
-        missed_um2 = self.wander_um2_per_min * self.correlation_min * -np.expm1(-elapsed_min / self.correlation_min)
+        elapsed_min = np.nan_to_num(state.time_min - state.told_min, nan=np.inf)
+        wander, lasts_min = np.where(modelled, (self.wander_um2_per_min, self.correlation_min), 1.0)
+        missed_um2 = wander * lasts_min * -np.expm1(-elapsed_min / lasts_min)
         left_um = residual_um - state.told_um
         change_um = left_um + state.estimate_um - state.told_estimate_um
-        told = known & np.isfinite(state.told_min)
+        told = known & modelled & np.isfinite(state.told_min)
         harm_um2 = np.where(
             told, HARM_KEPT * state.harm_um2 + np.square(left_um) - np.square(change_um), state.harm_um2
         )

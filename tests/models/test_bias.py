@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from output_machine import LIMITS, Machine
 
+from models.control.state import OperatorRequest
 from models.recordings.dataset import Recording
 from models.records import FloatArray
 from models.thermal.bias import BiasFilter, Wander
@@ -160,10 +161,15 @@ def test_between_probes_a_model_of_the_wrong_sign_is_not_followed_and_a_right_on
     assert np.abs(right[told]).max() < 0.5 * np.abs(alone[told]).max()
 
 
-def test_the_output_stops_following_a_model_of_the_wrong_sign_and_a_new_reference_begins_anew() -> None:
-    machine = Machine().following(z=0.0).set(probe_wander=WANDER)
+@pytest.mark.parametrize("y_has_a_model", [True, False])
+def test_the_output_stops_following_a_model_of_the_wrong_sign_and_a_new_reference_begins_anew(
+    y_has_a_model: bool,
+) -> None:
+    nobody_knows = Wander(um2_per_min=np.array([np.inf, 0.02]), correlation_min=np.array([np.inf, 240.0]))
+    machine = Machine().following(z=0.0).set(probe_wander=WANDER if y_has_a_model else nobody_knows)
+    machine.step(request=OperatorRequest(disable=frozenset({"y"})))
     for hour in range(1, 4):
-        machine.set(thermal_error_um=np.array([-3.0, -5.0 * hour]))
+        machine.set(thermal_error_um=np.array([-3.0 if y_has_a_model else np.nan, -5.0 * hour]))
         for _ in range(60):
             machine.step(elapsed_s=60.0)
         left_um = 5.0 * hour + machine.applied[1]
