@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from glob import escape
@@ -107,15 +108,17 @@ def load_machine_map(path: Path, recordings: Sequence[Path]) -> tuple[MachineFil
 
 def _copies(recordings: Mapping[str, Path]) -> dict[str, Path]:
     """Return the recordings that hold what an earlier one holds too, and that one. Only files of one size are read."""
-    sizes = Counter(path.stat().st_size for path in recordings.values())
+    sizes = {file: path.stat().st_size for file, path in recordings.items() if path.is_file()}
+    often = Counter(sizes.values())
     first: dict[bytes, Path] = {}
     found = {}
-    for file, path in recordings.items():
-        if sizes[path.stat().st_size] > 1:
-            with path.open("rb") as content:
+    for file, size in sizes.items():
+        path = recordings[file]
+        if often[size] > 1:
+            with suppress(OSError), path.open("rb") as content:  # reading it says what is wrong
                 earlier = first.setdefault(file_digest(content, "sha256").digest(), path)
-            if earlier is not path:
-                found[file] = earlier
+                if earlier is not path:
+                    found[file] = earlier
     return found
 
 

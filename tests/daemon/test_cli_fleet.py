@@ -192,6 +192,17 @@ def test_a_recording_in_another_unit_costs_the_machine_nothing_but_that(fleet: P
     assert "the models of 4 of 4 machines" in result.stderr
 
 
+def test_a_recording_that_is_not_there_is_named_and_so_are_channels_that_are_none(fleet: Path, tmp_path: Path) -> None:
+    """As where a shell passes on a pattern that fits nothing."""
+    shutil.copytree(fleet, tmp_path / "fleet")
+    (tmp_path / "fleet" / "m1" / "day05.csv").symlink_to("nowhere")
+    result = train(tmp_path / "fleet")
+    assert result.exit_code == 1 and isinstance(result.exception, SystemExit), result.output
+    assert "m1/day05.csv: cannot be opened (No such file or directory); learned from its other" in result.stderr
+    result = train(fleet, MACHINES, "--channels", " ,")
+    assert result.exit_code == 2 and "--channels: there is no channel in it" in result.stderr
+
+
 def test_machines_are_found_behind_symbolic_links(fleet: Path, tmp_path: Path) -> None:
     """Recordings of forty machines often lie where a link leads."""
     for machine in MACHINES:

@@ -51,6 +51,10 @@ def train(
 
     if dask is not None and workers != 1:
         raise click.UsageError("--workers is for processes of this computer; leave it out with --dask")
+    if channels is not None and not channels.strip(", "):
+        raise click.BadParameter(
+            "there is no channel in it; without it, those that all machines have", param_hint="--channels"
+        )
     machines = load_machine_map(machine_map, recordings)
     wanted = None if channels is None else [name.strip() for name in channels.split(",") if name.strip()]
     keep_one_heap()
