@@ -52,6 +52,11 @@ def write(path: Path, values: ComplexArray, hz: Any = HZ) -> None:
     path.write_text("\n".join(["frequency_hz,receptance_re,receptance_im", *rows]) + "\n", "utf-8")
 
 
+def gone(*paths: Path) -> None:
+    for path in paths:
+        path.unlink()
+
+
 def call(folder: Path, *more: object) -> Result:
     words = ["dynamics", "blank", folder / "test.yaml", folder / "tools.yaml", *more]
     return CliRunner().invoke(main, [str(word) for word in words])
@@ -132,6 +137,10 @@ REFUSED: dict[str, tuple[Change, str]] = {
     ),
     "um/N": (lambda at, values: write(at / "tip.csv", values[0] * 1e6), r"tip\.csv: half of the receptances"),
     "no file": (lambda at, _: (at / "cross.csv").unlink(), r"cross\.csv: cannot be opened"),
+    "no files": (
+        lambda at, _: gone(at / "tip.csv", at / "second.csv"),
+        r"tip\.csv, \S+second\.csv: cannot be opened",
+    ),
 }
 
 

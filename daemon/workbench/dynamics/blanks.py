@@ -31,6 +31,9 @@ NOISY = 0.02
 
 def measured_blank(blank: Blank, band: Band) -> tuple[FloatArray, ComplexArray]:
     """Return frequencies [Hz], shape (n,), and the three responses [m/N], shape (3, n); raises MeasurementError."""
+    every = [path for place in PLACES for path in getattr(blank.test.responses, place)]
+    if missing := [str(path) for path in every if not path.exists()]:
+        raise MeasurementError(f"{', '.join(missing)}: cannot be opened (No such file or directory)")
     parts: list[Measurement] = []
     for place in PLACES:
         paths: Sequence[Path] = getattr(blank.test.responses, place)
