@@ -8,6 +8,7 @@ import random
 import re
 from collections.abc import Iterable
 from contextlib import AsyncExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +18,17 @@ from control_rig import running
 from speed_machine import MACROS, bearing_model
 from speed_rig import CUT, CYCLE_S, SAFE, SpeedRig, ThreadPlanner
 
-from config.machine.stability_case import load_stability_case
+from config.machine.stability_case import ALL_DIRECTIONS, load_stability_case
 from daemon.spindle_speed import turning
 from drivers.guard.speed_text import SpeedStatus
 from models.stability.lobes_zoa import zeroth_order_lobes
 from models.thermomechanics.artifact import model_to_json
+from models.thermomechanics.regression import ThermomechanicalModel
 
 PASSES = 10
 EVENTS = ["", "", "", "silent", "another_operation", "link", "restart", "switch", "standstill"]
 HANDS = ["override", "speed", "tool", "model", "slept", "overwritten", "deeper", "another_feed", "another_tool", ""]
+LATER = ["released", "turned in between", "override", "silent", "standstill", "restart", ""]
 """What people, programs and a busy computer do beside the daemon."""
 SILENT_S = 20
 """A cut at a speed that is none to cut at may go on for so long before an alarm: the daemon waits for ten seconds."""
@@ -36,6 +39,12 @@ def confident(picture: dict[str, Any]) -> bool:
     return not picture["alarm"] and picture["reason"].startswith("stable to")
 
 
+def softer_along_y(stiffening_per_k: float) -> ThermomechanicalModel:
+    """Bearings of which those along Y stiffen less: how deep a cut may be depends on the direction of the feed."""
+    model, other = (bearing_model(stiffening_per_k=share * stiffening_per_k) for share in (1.0, 0.4))
+    return replace(model, axes=model.axes | {"y": other.axes["y"]})
+
+
 class TrueSpindle:
     """Hears every true temperature, also while the daemon hears none, and says by itself what a speed bears."""
 
@@ -43,7 +52,8 @@ class TrueSpindle:
         assert bench.configuration.spindle_speed is not None
         self._estimator = ThreadPlanner(bench.configuration)._planning._operations[0].estimator
         case = load_stability_case(bench.configuration.spindle_speed.operations[0].case)
-        self._cut, self._feed_deg = case.cut().straight(), float(case.feed_deg)
+        self._cut = case.cut().straight()
+        self.feed_deg = 0.0 if case.feed_deg == ALL_DIRECTIONS else float(case.feed_deg)
 
     def hear(self, bench: SpeedRig) -> None:
         self._estimator.renew(bench.clock.monotonic_s, np.full(5, bench.degc))
@@ -56,7 +66,7 @@ class TrueSpindle:
             from_rpm=0.999 * speed_rpm,
             to_rpm=1.001 * speed_rpm,
             points=3,
-            feed_deg=self._feed_deg,
+            feed_deg=self.feed_deg,
         )
         return float(lobes.limiting_depth_mm[1])
 
@@ -64,9 +74,15 @@ class TrueSpindle:
 class History:
     """One random day of passes while the spindle warms and cools by at most 1.5 K a minute."""
 
-    def __init__(self, folder: Path, seed: int, events: list[str] = EVENTS) -> None:
+    def __init__(self, folder: Path, seed: int, events: list[str] = EVENTS, *, everywhere: bool = False) -> None:
+        """`everywhere`: the feed goes another way in each pass, and the spindle is softer along Y."""
         self.random, self.events, self.said = random.Random(seed), events, list[str]()
-        self.bench = SpeedRig(folder, step_rpm=self.random.choice([30.0, 200.0]), dwell_s=5.0)
+        self.directions = random.Random(f"{seed} feed") if everywhere else None
+        model = softer_along_y(0.02) if everywhere else None
+        self.bench = SpeedRig(folder, model=model, step_rpm=self.random.choice([30.0, 200.0]), dwell_s=5.0)
+        if everywhere:
+            self._edit(r"feed_deg: \d+", f"feed_deg: {ALL_DIRECTIONS}")
+            self.bench.new_rig()
         self.spindle = TrueSpindle(self.bench)
         self.stack = AsyncExitStack()
         self.rate_k_per_min, self.judged, self.wrong = 0.0, 0, list[str]()
@@ -107,12 +123,14 @@ class History:
             self.wrong.append(f"{got}, {said}: bears {bears_mm:.3g} mm; {self.said}")
 
     async def play(self) -> None:
-        bench, depth_mm = self.bench, self.random.choice([1.5, 2.0, 2.5])
+        bench, depth_mm = self.bench, self.random.choice([1.5, 2.0, 2.5]) * (1.0 if self.directions is None else 0.6)
         programmed_rpm = self.programmed_rpm = self.random.choice([8000.0, 9000.0, 10000.0])
         async with self.stack:
             await self._run()
             for _ in range(PASSES):
                 bench.nc.sequence_number = SAFE
+                if self.directions is not None:
+                    self.spindle.feed_deg = self.directions.uniform(0.0, 360.0)
                 bench.call(S=programmed_rpm, D=depth_mm)
                 await self.passes(12, SAFE)
                 self.taken(depth_mm, programmed_rpm)
@@ -152,12 +170,18 @@ class History:
             await self.passes(self.random.choice([5, 60]), CUT)
             bench.nc.spindle_speed_rpm = usual_rpm if event == "override" else bench.nc.spindle_speed_rpm
         elif event == "tool":
-            self._edit(self.random.choice([600, 610, 630, 640]))
+            self._edit(r"frequency_hz: \d+", f"frequency_hz: {self.random.choice([600, 610, 630, 640])}")
             await self._restart()
         elif event == "model":
             model = bearing_model(stiffening_per_k=self.random.choice([0.015, 0.02, 0.025]))
             (bench.folder / "bearings.json").write_text(model_to_json(model), encoding="utf-8")
             await self._restart()
+        elif event == "released":
+            self._release(self.random.choice([0.015, 0.02, 0.025]))
+            await self.passes(self.random.choice([5, 30]), CUT)
+        elif event == "turned in between":
+            bench.nc.after_read = self._turns_the_override
+            await self.passes(self.random.choice([5, 60]), CUT)
         elif event == "slept":
             bench.nc.after_read = self._sleeps
             await self.passes(20, CUT)
@@ -189,14 +213,33 @@ class History:
         bench.clock.monotonic_s += self.random.choice([2.0, 45.0])
         bench.speed.close()
         bench.new_rig()
-        self.spindle = TrueSpindle(bench)
+        feed_deg, self.spindle = self.spindle.feed_deg, TrueSpindle(bench)
+        self.spindle.feed_deg = feed_deg
         self.spindle.hear(bench)
         await self._run()
 
-    def _edit(self, frequency_hz: int) -> None:
+    def _edit(self, what: str, by: str) -> None:
         path = self.bench.folder / "case.yaml"
-        text = path.read_text(encoding="utf-8")
-        path.write_text(re.sub(r"frequency_hz: \d+", f"frequency_hz: {frequency_hz}", text), encoding="utf-8")
+        path.write_text(re.sub(what, by, path.read_text(encoding="utf-8")), encoding="utf-8")
+
+    def _release(self, stiffening_per_k: float) -> None:
+        """Other bearings are released while the daemon runs, and its planning process ends and begins with them."""
+        bench, feed_deg = self.bench, self.spindle.feed_deg
+        model = (
+            softer_along_y(stiffening_per_k) if self.directions else bearing_model(stiffening_per_k=stiffening_per_k)
+        )
+        (bench.folder / "bearings.json").write_text(model_to_json(model), encoding="utf-8")
+        planner = bench.speed.follower.worker._planner
+        assert isinstance(planner, ThreadPlanner)
+        planner._planning = ThreadPlanner(bench.configuration)._planning
+        self.spindle = TrueSpindle(bench)
+        self.spindle.feed_deg = feed_deg
+        self.spindle.hear(bench)
+
+    def _turns_the_override(self, _numbers: object) -> None:
+        """Between what the daemon reads and what it writes the operator turns the override, and leaves it there."""
+        self.bench.nc.after_read = None
+        self.bench.nc.spindle_speed_rpm *= self.random.choice([0.8, 0.97, 1.03, 1.2])
 
     def _sleeps(self, _numbers: object) -> None:
         """The computer does nothing between what it reads and what it writes."""
@@ -208,12 +251,14 @@ OUTGROWN = 102
 """Seed of a cut at the edge of a pocket without the margin: before, status called it stable and gave no alarm."""
 
 
-async def played(folder: Path, seeds: Iterable[int], events: list[str]) -> tuple[int, list[str]]:
+async def played(
+    folder: Path, seeds: Iterable[int], events: list[str], *, everywhere: bool = False
+) -> tuple[int, list[str]]:
     """Return how often a call was judged in histories of these events, and what was wrong."""
     judged, wrong = 0, list[str]()
     for seed in seeds:
         (own := folder / str(seed)).mkdir()
-        history = History(own, seed, events)
+        history = History(own, seed, events, everywhere=everywhere)
         await history.play()
         judged, wrong = judged + history.judged, wrong + history.wrong
     return judged, wrong
@@ -231,10 +276,17 @@ async def test_nor_do_people_and_programs_bring_a_speed_that_nobody_has_verified
     assert not wrong
 
 
+async def test_nor_does_a_feed_that_goes_every_way_or_a_model_that_is_released_meanwhile(tmp_path: Path) -> None:
+    judged, wrong = await played(tmp_path, (0, 1), LATER, everywhere=True)
+    assert judged >= PASSES
+    assert not wrong
+
+
 @pytest.mark.slow
 async def test_nor_in_many_histories(tmp_path: Path, times_as_many: int) -> None:
     _, wrong = await played(tmp_path, range(1000, 1002 + times_as_many), EVENTS + HANDS)
-    assert not wrong
+    _, found = await played(tmp_path, range(2000, 2002 + times_as_many), HANDS + LATER, everywhere=True)
+    assert not wrong + found
 
 
 async def test_the_judge_sees_a_cut_at_another_speed_that_is_told_by_nobody(
@@ -242,4 +294,12 @@ async def test_the_judge_sees_a_cut_at_another_speed_that_is_told_by_nobody(
 ) -> None:
     monkeypatch.setattr(turning, "LASTS_S", math.inf)
     _, wrong = await played(tmp_path, [3], ["override", "speed"])
+    assert wrong and "bears" in wrong[0]
+
+
+async def test_the_judge_sees_a_feed_that_goes_another_way_than_the_case_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(History, "_edit", lambda *_: None)
+    _, wrong = await played(tmp_path, [1], LATER, everywhere=True)
     assert wrong and "bears" in wrong[0]
