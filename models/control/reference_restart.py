@@ -136,7 +136,7 @@ def _not_resumed(
     assert left.seen is not None
     if left.request_counter != request_counter:
         return "the NC program asked for something while the daemon was away"
-    gap_s, now = away_s(left, sample), seen_of(sample, rules)
+    gap_s, now = max(away_s(left, sample), sample.clock_s - left.seen.clock_s), seen_of(sample, rules)
     if now.sequence_number in rules.sequence_numbers and now.sequence_number != left.seen.sequence_number:
         return "the program stands at the positioning of the work, which began while the daemon was away"
     if left.seen.positioning_count != now.positioning_count:

@@ -478,6 +478,14 @@ def test_without_the_handshake_a_restart_while_the_program_ran_takes_nothing_up(
     assert memory.in_force is None and "may have been missed" in said(effects)[0]
 
 
+@pytest.mark.parametrize(("calendar_s", "state"), [(0.0, VALID), (-1.9, NONE)])
+def test_a_calendar_that_was_set_back_makes_no_restart_so_short_that_nothing_can_have_passed(calendar_s, state):
+    """The control's clock went on by 3.4 s, and two hide a positioning."""
+    memory, _ = counted(in_force())
+    first = sample(11.5, clock_s=511.5 - calendar_s)
+    assert begun(left_by(memory, 11.5), first)[0].state is state
+
+
 @pytest.mark.parametrize("handshake", [False, True])
 def test_a_positioning_that_was_counted_during_a_short_restart_is_none_that_the_reference_knows(handshake):
     """Also where the one before was asked for: a program may ask for one and pass its block for the other."""
