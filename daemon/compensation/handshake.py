@@ -43,7 +43,7 @@ class Handshake:
         """Take the counter as it stands when the CNC is first seen; return what is refused of what waits there."""
         if self._macros is None or (self._begun and not self.risen(macros)):
             return None
-        self._begun, self._shown = True, self._counter_macro(macros)
+        seen, self._begun, self._shown = self._begun, True, self._counter_macro(macros)
         self.counter = self.answered = counter_of(macros, self._macros)
         if self.counter is None:
             found = parse_request(macros, self._macros, self._axes)
@@ -51,7 +51,7 @@ class Handshake:
         answered = macros.get(self._macros.acknowledge)
         if not self.counter or (answered is not None and abs(answered) == self.counter):
             return None
-        return Refusal(why=LATE, number=float(self.counter), may_have_positioned=False)
+        return Refusal(why=LATE, number=float(self.counter), may_have_positioned=seen)
 
     def risen(self, macros: Mapping[int, float | None]) -> bool:
         return self._macros is not None and self._counter_macro(macros) != self._shown

@@ -47,14 +47,15 @@ class RequestDesk:
         """Take what the poll shows: a new request, or one that the program no longer waits for."""
         before, sample = self._sample, session.sample
         assert sample is not None
+        risen = self._handshake.counter is not None and self._handshake.risen(sample.macros)
+        found = await session.cnc.read_macros(self._handshake.numbers) if risen else {}
         self._sample = sample
         if self._handshake.counter is None:
             self._begin(session)
             return
-        if not self._handshake.risen(sample.macros):
+        if not risen:
             self._watch_withdrawal(session)
             return
-        found = await session.cnc.read_macros(self._handshake.numbers)
         request, missed = self._handshake.take(found)
         if missed:
             self._references.end(missed)

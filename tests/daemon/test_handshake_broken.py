@@ -2,9 +2,21 @@
 
 import pytest
 from control_rig import Bench, running
-from nc_requests import ACKNOWLEDGE, PROBE, TOOL_CHANGE, Z_AXIS, answer, ask, requesting_bench, zero_first
+from nc_requests import (
+    ACKNOWLEDGE,
+    COUNTER,
+    PROBE,
+    REFERENCE,
+    TOOL_CHANGE,
+    Z_AXIS,
+    answer,
+    ask,
+    requesting_bench,
+    zero_first,
+)
 
 from daemon.history.reader import HistoryReader
+from drivers.contract import LinkError
 
 
 @pytest.fixture
@@ -97,3 +109,32 @@ async def test_programs_of_the_guard_are_no_other_program(rig, bench):
         await rig.turn()
         assert rig.control.reference is not None
         assert rig.control.phase.value == "cutting", "N900 of the guard is no safe point of the program"
+
+
+async def test_what_was_asked_for_before_the_cnc_was_switched_off_is_refused_too_when_the_link_drops_once_more(
+    rig, bench
+):
+    await rig.active(handshake=True)
+    ask(bench, 1, REFERENCE)
+    bench.nc.power_cycle()
+    bench.clock.monotonic_s += 100.0
+    bench.nc.after_read = lambda _macros: setattr(bench.nc, "breaks", LinkError("the control is still starting"))
+    await rig.turn()
+    bench.nc.after_read = None
+    bench.nc.breaks = None
+    await rig.connected()
+    await rig.turn()
+    assert answer(bench) == -1.0
+
+
+async def test_the_first_request_of_all_ends_what_the_work_had_before(tmp_path):
+    """Nothing had been asked for since the control is there: its counter was vacant when the daemon saw it first."""
+    bench = requesting_bench(tmp_path)
+    bench.nc.macros.set(COUNTER, None)
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        await rig.follow(0.0, 0.0, 2)
+        assert rig.state == "ACTIVE"
+        ask(bench, 1, REFERENCE)
+        await rig.turn(rig.estimate(0.0, 0.0))
+        assert rig.control.reference is None and answer(bench) == -1.0
