@@ -27,8 +27,8 @@ SETTLING_STATES = (OutputState.ARMED, OutputState.ACTIVE, OutputState.HOLD)
 """States in which the output is meant to stay where the reference found it."""
 ROUNDED_UM = 1.0
 """A control rounds what it applies to its least increment [um]."""
-SETTLED_UM = 1e-3
-"""The CNC holds a value when what was read back differs by less than this [um]."""
+SETTLED_UM = 3e-3
+"""The CNC holds a value that was read back so near [um]: it counts to a nanometre, which may move an axis by five."""
 
 
 def follow_reference(memory: OutputMemory, inputs: OutputInputs, stale_after_s: float) -> OutputMemory:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from control_rig import SEQUENCE_A, Bench, Z, running
+from control_rig import SEQUENCE_A, Bench, Z, record_for, running
 from nc_requests import (
     ACKNOWLEDGE,
     KIND,
@@ -17,6 +17,8 @@ from nc_requests import (
     zero_first,
 )
 
+from config.records.commissioning import CommissionedAxis
+from daemon.commissioning.judgement import LARGEST_SCALE
 from daemon.history.reader import HistoryReader
 from daemon.messages import ReferenceEnded, ReferenceRebased, ReferenceRefused
 from drivers.contract import LinkError
@@ -253,6 +255,19 @@ async def test_a_tool_setting_moves_nothing_and_a_tool_change_selects_it(rig, be
     assert answer(bench) == 2.0
     assert rig.applied["z"] == pytest.approx(8.0, abs=0.11)
     assert list(rig.control.memory.tools) == [2], "the tool that the program named"
+
+
+async def test_a_tool_setting_is_answered_also_beside_an_axis_that_moves_five_times_as_far_as_is_written(bench):
+    """A value of the block counts to a nanometre, so that the movement counts to five."""
+    scales = {"y": LARGEST_SCALE, "z": 1.0}
+    proved = {a: CommissionedAxis(sign=1, scale=s, written_um=10.0, measured_um=10.0 * s) for a, s in scales.items()}
+    async with running(bench.rig(record=record_for(bench.configuration, axes=proved))) as rig:
+        await rig.active()
+        for _ in range(40):
+            await rig.turn(rig.estimate(-0.1522, -8.0))
+        ask(bench, 1, REFERENCE, Z_AXIS)
+        await rig.follow(-0.1522, -8.0, 4)
+        assert answer(bench) == 1.0 and not rig.control.memory.settling
 
 
 async def test_a_tool_setting_without_a_reference_of_the_work_is_refused(rig, bench):
