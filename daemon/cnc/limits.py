@@ -46,16 +46,18 @@ def output_limits(configuration: Configuration, factors: Mapping[str, float] | N
     `factors` is the movement per macro value. The guard bounds the macro value, so where less moves
     than is written, bound and step of the movement shrink with it. Where the axis was measured to move
     further than sign and scale say, bound, step and slew rate shrink by as much, so that what moves
-    stays within the configured limits.
+    stays within the configured limits. The bound is a whole number of the control's increments, which rounds.
     """
     axes = configuration.compensation.outputs
     excess = factors.excess if isinstance(factors, CommissionedFactors) else {}
     certain = np.array([1.0 / excess.get(axis, 1.0) for axis in axes])
-    share = np.minimum(certain, [abs((factors or {}).get(axis, 1.0)) for axis in axes])
+    moves = np.array([abs((factors or {}).get(axis, 1.0)) for axis in axes])
+    share, increment_um = np.minimum(certain, moves), moves * um_from_mm(configuration.cnc.guard.increment_mm)
+    bound_um = share * [axis.absolute_bound_um for axis in axes.values()]
     output, noise_um = configuration.compensation.output, configuration.compensation.reference.probe_noise_um
     return OutputLimits(
         axes=tuple(axes),
-        absolute_bound_um=share * [axis.absolute_bound_um for axis in axes.values()],
+        absolute_bound_um=np.minimum(bound_um, np.floor(bound_um / increment_um + 1e-6) * increment_um),
         slew_um_per_min=certain * [axis.slew_um_per_min for axis in axes.values()],
         step_um=share * [axis.step_um for axis in axes.values()],
         deadband_um=np.array([axis.deadband_um for axis in axes.values()]),

@@ -51,7 +51,8 @@ class RequestDesk:
         found = await session.cnc.read_macros(self._handshake.numbers) if risen else {}
         self._sample = sample
         if self._handshake.counter is None:
-            self._begin(session)
+            if (refusal := self._handshake.begin(sample.macros)) is not None:
+                self._refuse(refusal)
             return
         if not risen:
             self._watch_withdrawal(session)
@@ -117,11 +118,6 @@ class RequestDesk:
         asked, current = self._references.memory.requests, self._references.current
         waits = current is None or any(each.reference_id == reference_id for each in asked)
         return reference_id if waits or current is None else current.reference_id
-
-    def _begin(self, session: CncSession) -> None:
-        assert session.sample is not None
-        if (refusal := self._handshake.begin(session.sample.macros)) is not None:
-            self._refuse(refusal)
 
     def _refuse(self, request: Refusal) -> None:
         """Answer with minus the counter where a program may wait for it; say in any case why."""

@@ -225,8 +225,7 @@ class ReferenceMemory:
     @property
     def in_force(self) -> Reference | None:
         """The reference in force."""
-        valid = self.state is ReferenceState.VALID and self.record is not None
-        return self.record.reference if valid and self.record is not None else None
+        return self.record.reference if self.record is not None and self.state is ReferenceState.VALID else None
 
     @property
     def tools_set(self) -> tuple[int, ...]:

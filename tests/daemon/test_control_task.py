@@ -9,6 +9,7 @@ import pytest
 from control_rig import BLOCK, ENABLE, SEQUENCE_A, SEQUENCE_B, VALID_UNTIL, Rig, Z, machine, record_for, running
 from memory_cnc import MemoryNc
 
+from config.records.commissioning import CommissionedAxis
 from daemon.messages import ReferenceRebased, ReferenceRefused, ReferenceRequest
 from daemon.monitor.control_socket import RequestError
 from drivers.clock import SystemClock
@@ -38,6 +39,17 @@ async def test_the_block_is_written_first_to_last_with_valid_until_on_the_clock_
     assert values[VALID_UNTIL] == pytest.approx(bench.nc.clock_s + validity_s, abs=0.01)
     assert values[ENABLE] == 0b110
     assert abs(bench.nc.clock_s - bench.clock.monotonic_s) > 100, "the clocks differ, or nothing is shown"
+
+
+async def test_an_axis_that_moves_further_than_is_written_stops_within_its_bound_however_the_control_rounds(bench):
+    """16.7 um move it by 30.06, and the control makes 17 of them."""
+    scales = {"y": 1.0, "z": 1.8}
+    proved = {a: CommissionedAxis(sign=1, scale=s, written_um=10.0, measured_um=10.0 * s) for a, s in scales.items()}
+    async with running(bench.rig(record=record_for(bench.configuration, axes=proved))) as rig:
+        await rig.active()
+        await rig.follow(0.0, -100.0, 80)
+        assert rig.state == "ACTIVE", rig.control.journal.fault
+        assert 28.0 < 1.8 * rig.applied["z"] <= 30.0
 
 
 async def test_nothing_is_written_before_a_person_asks(rig, bench):

@@ -21,18 +21,19 @@ def test_where_less_moves_than_is_written_bound_and_step_shrink_with_it(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("scale", "measured_um", "bound_share", "slew_share"),
+    ("scale", "measured_um", "bound_um", "step_share", "slew_share"),
     [
-        (1.0, 10.0, 1.0, 1.0),
-        (1.0, 11.9, 1 / 1.19, 1 / 1.19),
-        (1.0, -11.9, 1 / 1.19, 1 / 1.19),
-        (1.0, 8.1, 1.0, 1.0),
-        (2.0, 23.0, 1 / 1.15, 1 / 1.15),
-        (0.5, 5.5, 0.5, 1 / 1.1),
+        (1.0, 10.0, 30.0, 1.0, 1.0),
+        (1.0, 11.9, 25.0, 1 / 1.19, 1 / 1.19),  # 25.2 um are no whole number of increments
+        (1.0, -11.9, 25.0, 1 / 1.19, 1 / 1.19),
+        (1.0, 8.1, 30.0, 1.0, 1.0),
+        (2.0, 23.0, 26.0, 1 / 1.15, 1 / 1.15),
+        (1.8, 18.0, 28.8, 1.0, 1.0),
+        (0.5, 5.5, 15.0, 0.5, 1 / 1.1),
     ],
 )
 def test_what_was_measured_to_move_stays_within_the_configured_limits(
-    tmp_path, scale, measured_um, bound_share, slew_share
+    tmp_path, scale, measured_um, bound_um, step_share, slew_share
 ):
     configuration = machine(tmp_path)
     sign = 1 if measured_um > 0 else -1
@@ -41,8 +42,8 @@ def test_what_was_measured_to_move_stays_within_the_configured_limits(
     factors = commissioned_factors(record, ("x", "y", "z"))
     assert factors == {"z": sign * scale}
     plain, found = output_limits(configuration), output_limits(configuration, factors)
-    assert found.absolute_bound_um == pytest.approx(plain.absolute_bound_um * [1.0, 1.0, bound_share])
-    assert found.step_um == pytest.approx(plain.step_um * [1.0, 1.0, bound_share])
+    assert found.absolute_bound_um == pytest.approx([30.0, 30.0, bound_um])
+    assert found.step_um == pytest.approx(plain.step_um * [1.0, 1.0, step_share])
     assert found.slew_um_per_min == pytest.approx(plain.slew_um_per_min * [1.0, 1.0, slew_share])
 
 
