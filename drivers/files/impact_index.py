@@ -13,8 +13,8 @@ from pathlib import Path
 
 from config.files import read_whole
 from drivers.contract import FatalDriverError
-from drivers.files.recording_lines import LONGEST_LINE
-from drivers.files.table import DELIMITERS, columns
+from drivers.files.recording_lines import read_beginning
+from drivers.files.table import columns
 
 INDEX_FILE = "impacts.csv"
 HEADER = ("file", "axis", "time")
@@ -91,13 +91,9 @@ def parse_time(text: str) -> float:
 
 
 def first_time(path: Path, column: str) -> float:
-    """Return the time of the first row of a recording in the unit of its column; raises ImpactIndexError."""
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        header, row = file.readline(LONGEST_LINE), file.readline(LONGEST_LINE)
-    delimiter = max(DELIMITERS, key=header.count)
+    """Return the time of a recording's first row in the unit of its column; raises a driver's error."""
+    header, rows = read_beginning(path, 1)
     try:
-        names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter), [])]
-        fields = next(csv.reader([row], delimiter=delimiter), [])
-        return parse_time(fields[names.index(column)].strip().replace(",", "."))
-    except (ValueError, IndexError, csv.Error):
-        raise ImpactIndexError(f"{path}:2: column {column}: holds no time") from None
+        return parse_time(rows[0][header.index(column)].replace(",", "."))
+    except (ValueError, IndexError):
+        raise ImpactIndexError(f"{path}: column {column}: holds no time in the first row") from None

@@ -10,6 +10,7 @@ from dynamics_command import call
 
 from config.machine.spindle import load_spindle
 from config.machines import shipped_file
+from daemon.workbench.dynamics.campaign import read_temperatures
 from models.thermomechanics.artifact import model_from_json
 
 
@@ -120,3 +121,15 @@ def fitted(simulated: Path) -> Path:
     )  # fmt: skip
     assert result.exit_code == 0, result.stderr
     return model
+
+
+@pytest.mark.parametrize(
+    ("before", "after"), [("# machine: mill-3\n# begun: today\n", ""), ("sep=;\n", ""), ("", "\n"), ("", "")]
+)
+def test_a_recording_begins_where_its_rows_do(tmp_path: Path, before: str, after: str) -> None:
+    """Lines such as `# machine:`, which this product itself writes, were taken for the header."""
+    path = tmp_path / "temperatures.csv"
+    path.write_text(f"{before}time_min;T1;T2\n{after}7,5;20,0;21,0\n8,5;20,1;21,1\n", encoding="utf-8")
+    found = read_temperatures(path, None)
+    assert (found.start, found.seconds_per_unit) == (7.5, 60.0)
+    assert found.time_min.tolist() == [0.0, 1.0]
