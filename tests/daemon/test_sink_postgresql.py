@@ -63,11 +63,11 @@ def section(server: Server, folder: Path, **changes: object) -> SinkConfig:
     return SinkConfig.model_validate({"name": "plant", "driver": "postgresql", "postgresql": known | changes})
 
 
-def runner_for(server: Server, folder: Path, path: Path, **changes: object) -> SinkRunner:
+def runner_for(server: Server, folder: Path, path: Path, machine: str = MACHINE, **changes: object) -> SinkRunner:
     """A sink that ends when nothing waits any more, or when it fails."""
     stop = threading.Event()
     config = section(server, folder, **changes)
-    return SinkRunner(config, path, MACHINE, stop, wait=lambda _duration_s: stop.set())
+    return SinkRunner(config, path, machine, stop, wait=lambda _duration_s: stop.set())
 
 
 def send(server: Server, folder: Path, path: Path, **changes: object) -> Cursor:
@@ -404,6 +404,22 @@ def test_a_number_without_end_in_one_row_keeps_no_other_back(server: Server, tmp
     assert send(server, tmp_path, store).problem == ""
     assert server.ask("SELECT macros FROM toolpoint.cnc") == [({"600": None, "601": 2.0},)]
     assert server.ask("SELECT um FROM toolpoint.displacements") == [({"dx": None, "dy": 1.0, "dz": None},)]
+
+
+def test_machines_with_logins_of_their_own_act_as_the_role_that_owns_the_tables(server: Server, tmp_path: Path) -> None:
+    """As the guide says; each fills a month that the other has not made."""
+    login = "CREATE ROLE {0} LOGIN PASSWORD '{1}' IN ROLE {2}; ALTER ROLE {0} IN DATABASE toolpoint SET role = {2}"
+    with server.connection() as connection:
+        for name in ("mill_7", "mill_8"):
+            connection.execute(login.format(name, PASSWORD, USER))
+    for at, name in enumerate(("mill_7", "mill_8")):
+        (tmp_path / name).mkdir()
+        path = tmp_path / name / "history.sqlite"
+        fill(path, start_s=EPOCH_S + at * 40 * 86_400.0, hours=0.2)
+        runner = runner_for(server, tmp_path / name, path, user_name=name, machine=name)
+        runner.run()
+        assert runner.cursor.problem == ""
+    assert server.ask("SELECT DISTINCT tableowner::text FROM pg_tables WHERE schemaname = 'toolpoint'") == [(USER,)]
 
 
 PGBOUNCER = shutil.which("pgbouncer", path=f"{os.environ['PATH']}:/usr/sbin")
