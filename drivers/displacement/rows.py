@@ -17,6 +17,8 @@ from models.records import DisplacementSample
 
 QUOTED_CHARACTERS = 40
 """How much of an unreadable field a problem quotes."""
+LARGEST_TIME_S = 1e11
+"""Milliseconds since 1970 are more; no calendar has them as seconds, and no database takes them."""
 LENGTHS_AND_TEMPERATURES = ("um", "mm", "nm", "in", "degC", "degF")
 _NUMBER = {
     ".": re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?"),
@@ -80,7 +82,10 @@ class RowReader:
     be cut, or a mark within numbers may have split them. An unreadable or overflowed field makes only its own NaN.
     """
 
-    def __init__(self, config: Logged, file: str, report: Callable[[str], None]) -> None:
+    def __init__(
+        self, config: Logged, file: str, report: Callable[[str], None], begins_after_s: float = -math.inf
+    ) -> None:
+        """`begins_after_s`: time of the last row of the file before [s]."""
         config = logged_numbers(config)
         self._file_config = config.file
         self._channels = config.channels
@@ -91,7 +96,7 @@ class RowReader:
         self._encoding = "utf-8-sig" if config.file.encoding.startswith("utf-8") else config.file.encoding
         self._overflow = frozenset(config.file.overflow_tokens)
         self._number = _NUMBER[config.file.decimal]
-        self._clock = _start_clock(config.file) or _stamp_clock(config.file)
+        self._clock = _start_clock(config.file) or _stamp_clock(config.file, begins_after_s)
         self._columns = None if config.file.header else self._columns_by_number()
         self._unit_row_due = False
         self.data_rows = 0
@@ -233,7 +238,7 @@ def _start_clock(config: LoggerFileConfig) -> Callable[[str, int], float] | None
     return lambda _, row: start_s + row * interval_s
 
 
-def _stamp_clock(config: LoggerFileConfig) -> Callable[[str, int], float]:
+def _stamp_clock(config: LoggerFileConfig, last_s: float) -> Callable[[str, int], float]:
     """Return the time of a row by its time stamp; NaN where rows have none, because they count from their arrival."""
     if not config.time_columns:
         return lambda _stamp, _row: math.nan
@@ -241,13 +246,13 @@ def _stamp_clock(config: LoggerFileConfig) -> Callable[[str, int], float]:
         number = _NUMBER[config.decimal]
 
         def seconds(stamp: str, _: int) -> float:
-            if not number.fullmatch(stamp):
+            since_s = float(stamp.replace(",", ".")) if number.fullmatch(stamp) else math.inf
+            if not abs(since_s) < LARGEST_TIME_S:
                 raise ValueError("not a number of seconds since 1970")
-            return float(stamp.replace(",", "."))
+            return since_s
 
         return seconds
     zone = ZoneInfo(config.time_zone)
-    last_s = -math.inf
 
     def local(stamp: str, _: int) -> float:
         nonlocal last_s

@@ -109,6 +109,7 @@ class DisplacementCsvSource:
             cause = self._refusal(list(self._files.values())[-1])
         if cause is None:
             self.caught_up = True
+            self._after_utc_s = -math.inf  # what comes now is new, though a clock that was ahead has stamped later rows
             self._unreachable = 0
             self._on_reached()
             return
@@ -128,20 +129,20 @@ class DisplacementCsvSource:
         return newest.refusal
 
     def _file(self, look: Look) -> _File:
-        file = self._files.get(look.path)
+        file, begins_after_s = self._files.get(look.path), -math.inf
         if file is None:
+            begins_after_s = max((each.last_utc_s for each in self._files.values()), default=-math.inf)
             file = self._files[look.path] = _File()
             if self.caught_up:  # it may be one of the others, which the logger has given another name
-                newest_utc_s = max(each.last_utc_s for each in self._files.values())
-                file.repeated_until_s = min(newest_utc_s, self._clock.now().utc_s)
+                file.repeated_until_s = min(begins_after_s, self._clock.now().utc_s)
         if look.restarted:
             file.began_anew |= file.reader is not None and file.reader.data_rows > 0
-            file.repeated_until_s = file.last_utc_s
+            file.repeated_until_s = min(file.last_utc_s, self._clock.now().utc_s)
             file.reader = None
             file.refusal = None
             file.lines = 0
         if file.reader is None:
-            file.reader = RowReader(self._config, str(look.path), self._report)
+            file.reader = RowReader(self._config, str(look.path), self._report, begins_after_s)
             file.usable = True
             if self._is_unplaced(file):
                 file.usable = False

@@ -104,7 +104,27 @@ async def test_the_hour_that_comes_twice(path: Path) -> None:
     assert [b - a for a, b in pairwise(utc_s)] == [1800.0] * 5
 
 
+async def test_a_file_that_begins_in_the_hour_that_comes_twice(path: Path) -> None:
+    """Loggers that begin a file each hour: all of the second 02:00 to 03:00 was taken for the first, and left out."""
+    for name, stamps in (("a.csv", ("01:30", "02:00", "02:30")), ("b.csv", ("02:00", "02:30", "03:00"))):
+        text = HEADER + "".join(f"2026-10-25T{stamp}:00,0,0\n" for stamp in stamps)
+        path.with_name(name).write_text(text)
+    pattern = config(path.with_name("*.csv"), time_zone="Europe/Berlin")
+    async with Follower(pattern, after_utc_s=0.0) as follower:
+        await follower.until(6)
+    utc_s = [sample.utc_s for sample in follower.samples]
+    assert [b - a for a, b in pairwise(utc_s)] == [1800.0] * 5
+
+
 # Bad rows
+
+
+async def test_a_time_that_no_calendar_has_is_refused(path: Path) -> None:
+    """Milliseconds where seconds are configured: one such row kept a plant's database from taking any that followed."""
+    path.write_text(f"{HEADER}{T0 * 1e3:.0f},1,2\n{T0:.0f},3,4\n")
+    follower, values = await read_all(config(path, time_format="%s"), 1, problems=1)
+    assert values == [[3.0, 4.0]]
+    assert ":2:1: the time stamp" in str(follower.source.last_problem)
 
 
 async def test_bad_rows_are_reported_with_their_place_and_skipped(path: Path) -> None:

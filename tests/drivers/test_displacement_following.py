@@ -4,6 +4,7 @@ import asyncio
 import errno
 import os
 import threading
+import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -159,6 +160,26 @@ async def test_rows_up_to_the_last_known_are_skipped(path: Path) -> None:
         await follower.settle()
     assert minutes(follower.samples) == [7, 8, 9]
     assert follower.source.problems == 0
+
+
+async def test_rows_of_a_clock_that_is_right_again_are_not_skipped(path: Path) -> None:
+    """A wrong `time_zone` had stamped rows nine hours ahead; corrected, it brought nothing for nine hours."""
+    append(path, HEADER + row(0) + row(1))
+    async with Follower(config(path), after_utc_s=T0 + 9 * 3600) as follower:
+        assert await follower.settle() == []
+        append(path, row(2))
+        await follower.until(1)
+    assert minutes(follower.samples) == [2]
+
+
+async def test_a_file_that_is_written_anew_after_a_wrong_clock_is_read(path: Path) -> None:
+    append(path, HEADER + "2099-01-01T00:00:00,1,2\n")
+    soon = round((time.time() - T0) / 60) + 2
+    async with Follower(config(path)) as follower:
+        await follower.until(1)
+        path.write_text(HEADER + row(0) + row(soon))
+        await follower.until(2)
+    assert minutes(follower.samples)[1] == soon, "and what is older counts as a repeat"
 
 
 # Files that cannot be read
