@@ -1,6 +1,7 @@
 """Names of back-ups in a folder, and which of them are a machine's."""
 
 import re
+import zlib
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,7 +14,9 @@ def backup_name(machine: str, now: datetime) -> str:
 
 
 def _prefix(machine: str) -> str:
-    return f"toolpoint-{re.sub(r'[^A-Za-z0-9]+', '-', machine).strip('-').lower() or 'machine'}-"
+    """Return how the names begin; a number tells apart what letters of other scripts, which are left out, would."""
+    plain = re.sub(r"[^A-Za-z0-9]+", "-", machine).strip("-").lower() or "machine"
+    return f"toolpoint-{plain}-" if machine.isascii() else f"toolpoint-{plain}-{zlib.crc32(machine.encode()):08x}-"
 
 
 def existing_backups(folder: Path, machine: str) -> list[Path]:

@@ -6,6 +6,7 @@ import shutil
 import sqlite3
 import tarfile
 from contextlib import closing
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO
 
@@ -18,6 +19,7 @@ from config.loader import load_configuration
 from config.records.commissioning import CommissionedAxis
 from daemon.backup.making import make_backup, remove_old
 from daemon.backup.manifest import BackupError, last_block_beside
+from daemon.backup.names import backup_name, existing_backups
 from daemon.backup.places import Places
 from daemon.backup.restoring import read_manifest, restore
 from daemon.history.reader import HistoryReader
@@ -130,6 +132,19 @@ def test_backups_of_a_clock_that_was_ahead_make_room_for_those_of_the_right_one(
         (folder / name).touch()
         remove_old(folder, "Mill 7 (hall)", 3, spare=folder / name)
     assert sorted(path.name for path in folder.iterdir()) == right
+
+
+def test_machines_whose_names_have_no_latin_letter_keep_backups_of_their_own_in_one_folder(tmp_path):
+    """Both were `machine`: the one that backs up more often pushed out every back-up of the other."""
+    lathe, mill = (
+        backup_name("旋盤", datetime(2026, 1, 2, tzinfo=UTC)),
+        backup_name("研削盤", datetime(2026, 1, 1, tzinfo=UTC)),
+    )
+    for name in (lathe, mill):
+        (tmp_path / name).touch()
+    remove_old(tmp_path, "旋盤", 1)
+    assert [path.name for path in existing_backups(tmp_path, "研削盤")] == [mill]
+    assert [path.name for path in existing_backups(tmp_path, "旋盤")] == [lathe]
 
 
 # --- proving ---------------------------------------------------------------------------------
