@@ -189,9 +189,10 @@ class StateRequest:
     def _positions_mm(self, answer: Answer | None) -> dict[str, float]:
         """Return the position of each axis [mm], NaN where there is none."""
         data = self._measured(Capability.AXIS_POSITION, answer) or b""
-        values = parse_values(data, len(data) // BYTES_PER_AXIS)
-        if data and (beyond := [name for name, axis in self._axes.items() if axis.place > len(values)]):
-            self.cannot[Capability.AXIS_POSITION] = f"{beyond[0]}: the control has {len(values)} axes"
+        count, last = len(data) // BYTES_PER_AXIS, max((axis.place for axis in self._axes.values()), default=0)
+        values = parse_values(data[: last * BYTES_PER_AXIS], min(count, last))  # places without an axis hold anything
+        if data and (beyond := [name for name, axis in self._axes.items() if axis.place > count]):
+            self.cannot[Capability.AXIS_POSITION] = f"{beyond[0]}: the control has {count} axes"
         return {
             name: position_mm(axis, values[axis.place - 1] if axis.place <= len(values) else None)
             for name, axis in self._axes.items()

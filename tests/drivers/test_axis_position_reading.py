@@ -71,6 +71,8 @@ def test_focas_positions_are_of_the_machine_and_a_vacant_or_refused_one_is_none(
     data = encode_value(12.5) + encode_value(0.0) + encode_value(None)
     found = request._positions_mm(Answer(0, data))
     assert found["X_mm"] == 12.5 and math.isnan(found["Z_mm"]) and not request.cannot.get(Capability.AXIS_POSITION)
+    found = request._positions_mm(Answer(0, encode_value(12.5) * 3 + bytes(8 * 29)))
+    assert found == {"Z_mm": 12.5, "X_mm": 12.5}, "a control may answer 32 places, of which the last are empty"
     assert math.isnan(request._positions_mm(Answer(-1))["X_mm"]), "busy: for once"
     assert Capability.AXIS_POSITION not in request.cannot
     assert math.isnan(request._positions_mm(Answer(1))["X_mm"])
