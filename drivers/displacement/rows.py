@@ -82,10 +82,8 @@ class RowReader:
     be cut, or a mark within numbers may have split them. An unreadable or overflowed field makes only its own NaN.
     """
 
-    def __init__(
-        self, config: Logged, file: str, report: Callable[[str], None], begins_after_s: float = -math.inf
-    ) -> None:
-        """`begins_after_s`: time of the last row of the file before [s]."""
+    def __init__(self, config: Logged, file: str, report: Callable[[str], None], after_s: float = -math.inf) -> None:
+        """`after_s`: time of the last row of the file before [s]."""
         config = logged_numbers(config)
         self._file_config = config.file
         self._channels = config.channels
@@ -96,7 +94,7 @@ class RowReader:
         self._encoding = "utf-8-sig" if config.file.encoding.startswith("utf-8") else config.file.encoding
         self._overflow = frozenset(config.file.overflow_tokens)
         self._number = _NUMBER[config.file.decimal]
-        self._clock = _start_clock(config.file) or _stamp_clock(config.file, begins_after_s)
+        self._clock = _start_clock(config.file) or _stamp_clock(config.file, after_s)
         self._columns = None if config.file.header else self._columns_by_number()
         self._unit_row_due = False
         self.data_rows = 0

@@ -43,7 +43,7 @@ class CycleAssembler:
         self._ended_at: int | None = None
         self._synchronised = False
         self._number = 0
-        self._frames = 0
+        self.frames = 0
         self._last_end = 0
         self.last_error: FrameError | None = None
         self._missed: Counter[int] = Counter()
@@ -70,10 +70,6 @@ class CycleAssembler:
         self._below: set[int] = set()
 
     @property
-    def frames(self) -> int:
-        return self._frames
-
-    @property
     def quiet_since(self) -> Instant | None:
         """When the last frame or rejected piece of the pass under way arrived; None between passes."""
         return None if self._pass is None else self._last_record
@@ -81,7 +77,7 @@ class CycleAssembler:
     @property
     def earliest_end(self) -> int:
         """Byte of the stream before which the cycle under way, or the next one, cannot be complete."""
-        if not self._frames:
+        if not self.frames:
             return 0
         if self._pass is None:
             return self._last_end + self._bytes_per_pass
@@ -154,12 +150,12 @@ class CycleAssembler:
             return False
         if not self._pass.go_on(frame, arrived):
             return False
-        self._frames += 1
+        self.frames += 1
         self._last_end = frame.end
         return True
 
     def _on_frame(self, frame: Frame) -> list[TemperatureCycle]:
-        self._frames += 1
+        self.frames += 1
         self._last_end = frame.end
         if frame.wire_id in self._silent:
             self._await_all_but(frozenset(i for i in self._silent if i > frame.wire_id))

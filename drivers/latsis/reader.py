@@ -165,10 +165,6 @@ class SerialPort:
         data = bytes(self._serial.read(1))
         return data + bytes(self._serial.read(self._serial.in_waiting)) if data else data
 
-    def write(self, data: bytes) -> None:
-        """Send bytes (the LATSIS protocol never does; a loop-back test does)."""
-        self._serial.write(data)
-
     def close(self) -> None:
         """Close the port. Never raises: an unplugged port raises once more when it is closed."""
         with contextlib.suppress(OSError, TypeError):

@@ -47,7 +47,8 @@ class LatsisSerialSource:
         self._dropped = 0
         self._dropped_told = 0
         self._torn = False
-        self._earliest_end = 0
+        self.earliest_end = 0
+        """Byte of the stream before which the cycle under way, or the next one, cannot be complete."""
         self._last_frame = self._last_bytes = clock.now()
         self._wake = asyncio.Event()
         self._check_due = False
@@ -86,11 +87,6 @@ class LatsisSerialSource:
             await self._reader.stop()
 
     # --- what the reader calls, from its own thread ---------------------------
-
-    @property
-    def earliest_end(self) -> int:
-        """Byte of the stream before which the cycle under way, or the next one, cannot be complete."""
-        return self._earliest_end
 
     def put(self, data: bytes, arrived: Instant) -> bool:
         """Queue bytes; return False when they were dropped because too many wait."""
@@ -168,7 +164,7 @@ class LatsisSerialSource:
         self._bytes_taken += len(data)
         frames = self._assembler.frames
         cycles = self._assembler.feed(data, arrived)
-        self._earliest_end = self._assembler.earliest_end
+        self.earliest_end = self._assembler.earliest_end
         self._last_bytes = arrived
         if self._assembler.frames > frames:
             self._last_frame = arrived
