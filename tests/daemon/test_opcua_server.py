@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -49,6 +50,9 @@ async def test_every_sensor_is_a_tag_with_quality_source_time_and_where_it_sits(
     async with tag_server(tmp_path, keys) as bench, bench.logged_in("otto") as client:
         before = await (await node(client, "temperature.1")).read_data_value(raise_on_bad_status=False)
         assert before.StatusCode.name == "BadWaitingForInitialData" and before.Value.Value is None
+        bench.rig.snapshots.control = replace(bench.rig.snapshots.control, cnc=None)
+        state = await (await node(client, "state.output")).read_data_value()
+        assert before.SourceTimestamp is state.SourceTimestamp is None, "a historian would put it into the year 1970"
         tell(bench)
         found = {}
         for sensor in SENSOR_IDS:

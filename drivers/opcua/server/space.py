@@ -113,7 +113,7 @@ class Variable(Node):
 
     def set(self, value: Encoded, status: int, source_utc_s: float) -> None:
         """Take a new value; one that is like the last is no change."""
-        source = time_100ns(source_utc_s)
+        source = time_100ns(source_utc_s) if source_utc_s > 0.0 else 0  # none
         if value != self.value or status != self.status:
             self.changed += 1
         elif source == self.source_100ns:
