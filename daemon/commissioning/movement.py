@@ -53,7 +53,7 @@ class Movement:
         """Wait until the guard has run once with everything off; return its version."""
         station = self._station
         await station.next_beat()
-        since_s = station.cnc_clock_s
+        before_s = station.echo.time_s  # of before a power-off it may be ahead of the clock
         self._dialogue.say(f"The guard must run once while nothing is asked of it. {CALL_THE_GUARD}")
 
         told = False
@@ -61,7 +61,7 @@ class Movement:
         def heard() -> bool:
             nonlocal told
             echo = station.echo
-            ran = echo.time_s is not None and echo.time_s > since_s
+            ran = echo.time_s not in (None, before_s)
             known = bool(np.all(np.isfinite(echo.applied_um)))
             if ran and not known and not told:
                 told = True
@@ -114,10 +114,10 @@ class Movement:
         begin_s = station.clock.now().monotonic_s
         said: int | None = 0
         await station.next_beat()
-        asked_s = station.cnc_clock_s
+        before_s = station.echo.time_s
         while not done():
             echo = station.echo
-            ran = echo.time_s is not None and echo.time_s > asked_s
+            ran = echo.time_s not in (None, before_s)
             if ran and echo.status != said and echo.status not in GUARD_CONTENT:
                 said = echo.status
                 self._dialogue.say(f"The guard ran, and {GUARD_SAYS.get(said or -1, f'refused (status {said})')}.")

@@ -92,12 +92,6 @@ class Station:
         echo = self.session.echo
         return self._block.echo({}) if echo is None else echo
 
-    @property
-    def cnc_clock_s(self) -> float:
-        """The CNC's clock at the latest poll [s]."""
-        assert self._previous is not None
-        return self._previous.clock_s
-
     async def supervise(self, work: Coroutine[Any, Any, T], *beside: Coroutine[Any, Any, None]) -> T:
         """Do the work while the heart beats; what stops the heart ends the work with its error."""
         self._stopping = False

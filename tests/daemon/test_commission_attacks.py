@@ -260,8 +260,12 @@ async def test_a_displacement_channel_reads_unless_it_is_noisy(bench, tmp_path, 
 # --- the guard -------------------------------------------------------------------------
 
 
-async def test_a_guard_that_is_never_called_moves_nothing(bench):
+@pytest.mark.parametrize("left_s", [None, 90_000.0])
+async def test_a_guard_that_is_never_called_moves_nothing(bench, left_s):
+    """Also where its echo is of before the control was switched off, when its clock stood higher than now."""
     bench.reset(program=STOPPED)
+    if left_s is not None:
+        bench.machine.nc.macros.set(bench.configuration().cnc.macros.echo_time, left_s)
     person = Person(bench)
     said = await refused(bench, person, axes=("z",), patience_s=10.0)
     assert "it has not run" in said and "really calls it" in said
