@@ -25,6 +25,8 @@ RESPONSES: dict[int, Quantity] = {8: "receptance", 11: "mobility", 12: "accelera
 FORCE = 13
 STANDARD_GRAVITY_M_PER_S2 = 9.80665
 LENGTHS_M = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "in": 0.0254, "inch": 0.0254, "g": None}
+FORCES_N = {"": 1.0, "none": 1.0, "n": 1.0, "newton": 1.0, "newtons": 1.0, "kn": 1e3, "lbf": 4.4482216152605,
+            "lb": 4.4482216152605, "kgf": STANDARD_GRAVITY_M_PER_S2}  # fmt: skip
 
 
 class MeasurementFileError(FatalDriverError):
@@ -130,29 +132,58 @@ def _universal(path: Path) -> list[Measurement]:
     except Exception as error:
         raise MeasurementFileError(f"{path}: is no universal file that can be read ({error})") from error
     sets = sets if isinstance(sets, list) else [sets]
-    factor = _force_per_length(sets)
+    units = _units(path, sets)
     functions = [each for each in sets if each.get("type") == 58]
     responses = [each for each in functions if each["func_type"] == FREQUENCY_RESPONSE]
     if not responses:
         raise MeasurementFileError(f"{path}: holds no frequency response function (data set 58, function type 4)")
     coherences = {_place(each): each for each in functions if each["func_type"] == COHERENCE}
-    return [_from_set(path, number, each, coherences, factor) for number, each in enumerate(responses, start=1)]
+    return [_from_set(path, number, each, coherences, units) for number, each in enumerate(responses, start=1)]
 
 
 def _place(told: dict[str, Any]) -> tuple[Any, ...]:
     return tuple(told.get(name) for name in ("rsp_node", "rsp_dir", "ref_node", "ref_dir"))
 
 
-def _force_per_length(sets: list[dict[str, Any]]) -> float:
-    """Return what turns length per force of the file into m/N, from its units (data set 164)."""
+def _units(path: Path, sets: list[dict[str, Any]]) -> tuple[float, float]:
+    """Return how many of the file's units of length and of force are 1 m and 1 N (data set 164)."""
     for each in sets:
         if each.get("type") == 164:
-            return float(each["force"]) / float(each["length"])
-    return 1.0
+            units = float(each["length"]), float(each["force"])
+            if not all(0.0 < unit < math.inf for unit in units):
+                raise MeasurementFileError(f"{path}: its units (data set 164) are not above 0; export it again")
+            return units
+    return 1.0, 1.0
+
+
+def _in_m_per_n(place: str, told: dict[str, Any], length: float, force: float) -> float:
+    """Return what turns the numbers of a response into m/N, m/(s N) or m/(s^2 N); labels count where units say 1."""
+    label = str(told.get("ordinate_axis_units_lab") or "").strip()
+    known, _, per = label.partition("/")
+    known, per = known.strip(), per.rpartition("/")[2].strip().lower()
+    if known not in LENGTHS_M and label.lower() not in ("", "none"):
+        raise MeasurementFileError(f"{place}: the unit {label!r} is not known; known are m, mm, um and g")
+    of_force = str(told.get("orddenom_axis_units_lab") or "").strip()
+    if force == 1.0 and of_force.lower() not in FORCES_N:
+        raise MeasurementFileError(
+            f"{place}: the unit {of_force!r} of the force is not known; known are N, kN, lbf and kgf"
+        )
+    if known == "g":
+        length = 1.0 / STANDARD_GRAVITY_M_PER_S2
+    elif known in LENGTHS_M and length == 1.0:
+        length = 1.0 / (LENGTHS_M[known] or 1.0)
+    if force == 1.0:
+        named = of_force.lower()
+        force = 1.0 / (FORCES_N[named] if named not in ("", "none") else FORCES_N.get(per, 1.0))
+    return force / length
 
 
 def _from_set(
-    path: Path, number: int, told: dict[str, Any], coherences: dict[tuple[Any, ...], dict[str, Any]], factor: float
+    path: Path,
+    number: int,
+    told: dict[str, Any],
+    coherences: dict[tuple[Any, ...], dict[str, Any]],
+    units: tuple[float, float],
 ) -> Measurement:
     place = f"{path}: response {number}"
     kind, reference = int(told.get("ordinate_spec_data_type") or 0), int(told.get("orddenom_spec_data_type") or 0)
@@ -161,16 +192,8 @@ def _from_set(
         raise MeasurementFileError(f"{place}: its ordinate is of kind {kind}; known are {known}")
     if reference not in (0, FORCE):
         raise MeasurementFileError(f"{place}: is per kind {reference} of data, not per force ({FORCE})")
-    label = str(told.get("ordinate_axis_units_lab") or "").strip()
-    length = label.split("/")[0].strip()
-    if length not in LENGTHS_M and label.lower() not in ("", "none"):
-        raise MeasurementFileError(f"{place}: the unit {label!r} is not known; known are m, mm, um and g")
-    if length == "g":
-        factor = STANDARD_GRAVITY_M_PER_S2
-    elif length in LENGTHS_M and factor == 1.0:
-        factor = LENGTHS_M[length] or 1.0
     frequency_hz = np.asarray(told["x"], dtype=np.float64)
-    values = np.asarray(told["data"], dtype=np.complex128) * factor
+    values = np.asarray(told["data"], dtype=np.complex128) * _in_m_per_n(place, told, *units)
     beside = coherences.get(_place(told))
     coherence = None
     if beside is not None and len(beside["data"]) == len(frequency_hz):

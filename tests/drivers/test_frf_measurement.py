@@ -52,12 +52,39 @@ def test_kinds_and_units_of_universal_files(tmp_path: Path, kind: int, data: Any
 
 
 @pytest.mark.parametrize(
+    ("label", "force", "units", "factor"),
+    [
+        ("in", "lbf", None, 0.0254 / 4.4482216),
+        ("mm", "kN", None, 1e-6),
+        ("g/lbf", "NONE", None, 9.80665 / 4.4482216),
+        ("mm", "kN", (1000.0, 0.001), 1e-6),
+        ("g", "lbf", (39.37008, 0.2248089), 9.80665 / 4.4482216),
+        ("g", "N", (1000.0, 1.0), 9.80665),
+    ],
+)
+def test_the_unit_of_the_force_counts(
+    tmp_path: Path, label: str, force: str, units: tuple[float, float] | None, factor: float
+) -> None:
+    """Per lbf was read as per N: a machine 4.4 times softer, or, in g with units in a set of its own, per N too."""
+    kind, order = (12, -(OMEGA**2)) if label.startswith("g") else (8, np.ones(41))
+    told = function(
+        RECEPTANCE * order / factor, ordinate_spec_data_type=kind, ordinate_axis_units_lab=label,
+        orddenom_axis_units_lab=force,
+    )  # fmt: skip
+    sets = [] if units is None else [pyuff.prepare_164(units_code=1, units_description="", temp_mode=1,
+            length=units[0], force=units[1], temp=1.0, temp_offset=0.0)]  # fmt: skip
+    (found,) = read_measurements(universal(tmp_path / "m.uff", *sets, told))
+    assert found.receptance_m_per_n == pytest.approx(RECEPTANCE[1:], rel=1e-5)
+
+
+@pytest.mark.parametrize(
     ("changes", "words"),
     [
         ({"func_type": 6}, "holds no frequency response function"),
         ({"ordinate_spec_data_type": 2}, "its ordinate is of kind 2"),
         ({"orddenom_spec_data_type": 12}, "is per kind 12 of data, not per force"),
         ({"ordinate_axis_units_lab": "furlong"}, "the unit 'furlong' is not known"),
+        ({"orddenom_axis_units_lab": "mV"}, "the unit 'mV' of the force is not known"),
     ],
 )
 def test_unfit_universal_files_are_refused(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
