@@ -16,6 +16,8 @@ NUMERATOR, DENOMINATOR = 2, 2
 """Degrees of the polynomials."""
 HALF_WIDTHS = (6, 10, 16, 24)
 """Lines on each side that may be taken."""
+ALIKE = 1e-13
+"""Where responses hardly change, fewer coefficients do: combinations below this share of the largest are left out."""
 GROWTH = 1.1
 """A wider window whose residual is larger by this factor bends the response."""
 
@@ -76,7 +78,7 @@ def _local(responses: ComplexArray, half_width: int) -> Smoothed:
             design[:, rows, count * (NUMERATOR + 1) + power - 1] = -taken[number] * x**power
     values = np.concatenate(list(taken), axis=1)
     adjoint = np.conj(np.swapaxes(design, 1, 2))
-    inverse = np.linalg.inv(adjoint @ design)
+    inverse = np.linalg.pinv(adjoint @ design, rcond=ALIKE, hermitian=True)
     solved = inverse @ (adjoint @ values[..., None])
     left = values - (design @ solved)[..., 0]
     noise = float(np.sqrt(np.mean(np.abs(left) ** 2) * values.shape[1] / (values.shape[1] - _coefficients(count))))

@@ -49,3 +49,11 @@ def test_of_noise_little_reaches_the_tool(holder, measured):
 def test_a_point_outside_the_blank_is_refused(measured, second_m):
     with pytest.raises(IdentificationError, match="lies outside the blank of 70 mm"):
         held_stiffness(BLANK, second_m, HZ, measured)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_flat_responses_stay_as_they_are(seed):
+    """Exported with few digits, responses stand still over many lines: the fit was singular, or off by factors."""
+    values = np.random.default_rng(seed).normal(size=(2, 3)) * 1e-8
+    flat = np.repeat((values[0] + 1j * values[1])[:, None], 60, axis=1)
+    assert smoothed(flat).responses == pytest.approx(flat, rel=1e-9)
