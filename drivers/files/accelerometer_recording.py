@@ -109,7 +109,9 @@ def _wav(path: Path, content: bytes, full_scale_m_s2: float) -> AccelerationReco
     kind, channels, rate, _, frame, bits = struct.unpack("<HHIIHH", chunks[b"fmt "][:16])
     if kind == EXTENSIBLE and len(chunks[b"fmt "]) >= 26:
         kind = struct.unpack("<H", chunks[b"fmt "][24:26])[0]
-    if channels < 1 or rate < 1 or frame != channels * bits // 8:
+    if kind not in (PCM, FLOAT):
+        raise _unreadable(path, kind, bits)
+    if channels < 1 or rate < 1 or not 0 < frame == channels * bits // 8:
         raise AccelerometerFileError(f"{path}: the WAV header contradicts itself ({channels} channels, {bits} bits)")
     data = chunks[b"data"]
     shares = _shares(path, kind, bits, data[: len(data) // frame * frame])[::channels]
@@ -144,7 +146,11 @@ def _shares(path: Path, kind: int, bits: int, data: bytes) -> FloatArray:
     if kind == PCM and bits == 24:
         octets = np.frombuffer(data, dtype=np.uint8).reshape(-1, 3).astype(np.int32)
         return ((octets[:, 0] << 8 | octets[:, 1] << 16 | octets[:, 2] << 24) >> 8) / 2.0**23
-    raise AccelerometerFileError(
+    raise _unreadable(path, kind, bits)
+
+
+def _unreadable(path: Path, kind: int, bits: int) -> AccelerometerFileError:
+    return AccelerometerFileError(
         f"{path}: WAV format {kind} with {bits} bits cannot be read; export 16, 24 or 32 bit PCM, or float"
     )
 

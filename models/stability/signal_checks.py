@@ -7,15 +7,21 @@ from models.records import FloatArray
 
 FAINTEST_M_S2, LOUDEST_M_S2 = 1e-9, 1e9
 """Range of the largest acceleration of a recording; outside, its unit or its scale is wrong [m/s^2]."""
+SHORTEST_WINDOW = 16
+"""A spectrum of fewer samples has no lines to tell apart."""
 
 
 def check_length(samples: int, sample_rate_hz: float, window: int) -> None:
-    """Refuse a signal that is shorter than a window.
+    """Refuse a signal that is shorter than a window, or sampled too slowly for one.
 
-    Raises StabilityError saying how long to record.
+    Raises StabilityError saying how long, or how fast, to record.
 
     `samples`: how many there are. `sample_rate_hz`: samples per second [Hz]. `window`: how many a spectrum needs.
     """
+    if window < SHORTEST_WINDOW:
+        raise StabilityError(
+            f"{sample_rate_hz:.3g} samples a second show no vibration of a cut; are the times of the recording in s?"
+        )
     if samples < window:
         raise StabilityError(
             f"{samples} samples at {sample_rate_hz:g} Hz are {samples / sample_rate_hz:.3g} s; a spectrum needs "

@@ -64,3 +64,14 @@ def test_csv_refusals(tmp_path: Path, change: object, sentence: str) -> None:
     with pytest.raises(AccelerometerFileError) as refused:
         read_acceleration(path)
     assert sentence in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "bits", "sentence"),
+    [(1, 0, "contradicts itself (1 channels, 0 bits)"), (2, 4, "WAV format 2 with 4 bits cannot be read")],
+)
+def test_wav_refusals(tmp_path: Path, kind: int, bits: int, sentence: str) -> None:
+    """Samples without a bit divided by zero."""
+    with pytest.raises(AccelerometerFileError) as refused:
+        read_acceleration(wav(tmp_path / "a.wav", kind, bits, bytes(400)))
+    assert sentence in str(refused.value)

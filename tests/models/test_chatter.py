@@ -124,6 +124,9 @@ def test_the_simulated_cut_is_judged_as_it_is() -> None:
 def test_short_clipped_and_unreachable_recordings_are_refused() -> None:
     with pytest.raises(StabilityError, match=r"100 samples.*record longer"):
         detect_chatter(np.zeros(100), RATE_HZ, 6000.0, 4)
+    for rate_hz in (1.0, 2.0):  # times that count the samples
+        with pytest.raises(StabilityError, match=r"are the times of the recording in s"):
+            detect_chatter(forced(6000.0, 2.0), rate_hz, 6000.0, 4)
     with pytest.raises(StabilityError, match="clipped"):
         detect_chatter(np.clip(forced(6000.0, 2.0), -2.0, 2.0), RATE_HZ, 6000.0, 4)
     with pytest.raises(StabilityError, match="check speed and teeth"):
