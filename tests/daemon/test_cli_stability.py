@@ -291,6 +291,8 @@ def test_coefficients_from_mean_forces(case: Path) -> None:
     assert other["kt_n_per_m2"] == found["kt_n_per_m2"]
     path.write_text(path.read_text().replace(rows[1], "0.1,x,3"))
     assert "forces.csv:3: a field is no number" in refusal("coefficients", path, "--case", case, "--depth-mm", 2.0)
+    path.write_text(path.read_text().replace("\n0.1,x", "\n\n\n0.1,x"))
+    assert "forces.csv:5: a field is no number" in refusal("coefficients", path, "--case", case, "--depth-mm", 2.0)
     assert "needs --case" in refusal("coefficients", path)
 
 
@@ -351,6 +353,8 @@ def test_roughness_of_a_profile_and_its_picture(tmp_path: Path) -> None:
     assert run("roughness", path).stderr.splitlines()[0].startswith("4 mm: Ra 0.63")
     path.write_text(path.read_text().replace("0.002,", "0.002x,", 1))
     assert f"{path}:4:" in refusal("roughness", path)
+    path.write_text(path.read_text().replace("\n", "\n\n", 1))
+    assert f"{path}:5:" in refusal("roughness", path)
     path.write_text("position_mm,height_um\n" + "\n".join(f"{0.1 * k:.1f},{1e308 * (-1) ** k}" for k in range(50)))
     assert f"{path}:2:" in refusal("roughness", path, "--picture", picture)
     path.write_text("position_mm,height_um\n" + "\n".join(f"{0.1 * k:.1f},1.0" for k in range(5)))

@@ -30,3 +30,8 @@ def csv_rows(path: Path, what: str) -> Iterator["csv.DictReader[str]"]:
 def field(reader: "csv.DictReader[str]", row: dict[str, str | None], name: str) -> float:
     """Return the number of a row in a column; raises ValueError."""
     return number(row[name] or "", reader.reader.dialect.delimiter)
+
+
+def line_of(reader: "csv.DictReader[str]") -> int:
+    """Return the line of the row that was read last; the reader has not seen the header."""
+    return reader.line_num + 1

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from daemon.workbench.stability.csv_rows import csv_rows, field
+from daemon.workbench.stability.csv_rows import csv_rows, field, line_of
 from drivers.files.accelerometer_recording import AccelerationRecording
 from models.errors import StabilityError
 from models.json_values import finite_or_none
@@ -134,23 +134,23 @@ def read_profile(path: Path) -> tuple[FloatArray, bool]:
         names = reader.fieldnames or []
         if missing := [name for name in PROFILE_COLUMNS if name not in names]:
             raise StabilityError(f"{path}:1: there is no column {' and '.join(missing)} in {', '.join(names)}")
-        rows = [_profile_row(path, number, reader, row) for number, row in enumerate(reader, start=2)]
+        rows = [_profile_row(path, reader, row) for row in reader]
     if not rows:
         raise StabilityError(f"{path}: holds no points after its header")
     return np.array(rows), DEPTH_COLUMN in names
 
 
-def _profile_row(
-    path: Path, number: int, reader: "csv.DictReader[str]", row: dict[str, str | None]
-) -> tuple[float, float, float]:
+def _profile_row(path: Path, reader: "csv.DictReader[str]", row: dict[str, str | None]) -> tuple[float, float, float]:
     try:
         values = [field(reader, row, name) for name in PROFILE_COLUMNS]
         depth = field(reader, row, DEPTH_COLUMN) if DEPTH_COLUMN in row else 0.0
     except ValueError:
-        raise StabilityError(f"{path}:{number}: a field is no number; remove the row or measure again") from None
+        raise StabilityError(
+            f"{path}:{line_of(reader)}: a field is no number; remove the row or measure again"
+        ) from None
     if not all(abs(value) <= LARGEST for value in (*values, depth)):
         raise StabilityError(
-            f"{path}:{number}: a value is not finite or beyond {LARGEST:g}, which no surface has; remove the row or "
-            "measure again"
+            f"{path}:{line_of(reader)}: a value is not finite or beyond {LARGEST:g}, which no surface has; remove "
+            "the row or measure again"
         )
     return values[0], values[1], depth

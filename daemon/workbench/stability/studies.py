@@ -11,7 +11,7 @@ import numpy as np
 
 from config.machine.stability_case import DirectionCase, StabilityCase, load_stability_case
 from daemon.workbench.stability.case_files import read_direction
-from daemon.workbench.stability.csv_rows import csv_rows, field
+from daemon.workbench.stability.csv_rows import csv_rows, field, line_of
 from daemon.workbench.stability.lobes import LobesRequest, find_lobes
 from models.dynamics.measurement import Measurement
 from models.errors import StabilityError
@@ -86,11 +86,13 @@ def _forces(path: Path, reader: "csv.DictReader[str]") -> FloatArray:
             f"{path}:1: there is no column {', '.join(missing)}; mean forces have the header {','.join(FORCE_COLUMNS)}"
         )
     rows = []
-    for number, row in enumerate(reader, start=2):
+    for row in reader:
         try:
             rows.append([field(reader, row, name) for name in FORCE_COLUMNS])
         except ValueError:
-            raise StabilityError(f"{path}:{number}: a field is no number; remove the row or measure again") from None
+            raise StabilityError(
+                f"{path}:{line_of(reader)}: a field is no number; remove the row or measure again"
+            ) from None
     if not rows:
         raise StabilityError(f"{path}: holds no rows after its header")
     return np.array(rows)
