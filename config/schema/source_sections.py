@@ -64,6 +64,8 @@ class LoggerFileConfig(Section):
         if self.header is None and any(isinstance(column, str) for column in self.time_columns):
             problems.append((("time_columns",), "without file.header, columns must be given by number (from 1)"))
         problems += [((key,), sentence) for key, sentence in self._time_problems()]
+        if any(isinstance(column, int) and column < 1 for column in self.time_columns):
+            problems.append((("time_columns",), "columns count from 1"))
         if problems:
             raise KeyProblems(problems)
         return self

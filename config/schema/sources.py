@@ -59,7 +59,7 @@ class Measured(Section):
 class SourceSensorConfig(Measured):
     """One temperature sensor of a source: where it sits, and how its number becomes a temperature."""
 
-    id: int = Field(ge=1, description="sensor ID of the machine's documentation", examples=[401])
+    id: int = Field(ge=1, le=99_999_999, description="sensor ID of the machine's documentation", examples=[401])
     component: str = Field(min_length=1, description="machine component it sits on", examples=["Spindle unit"])
     part: str = Field("-", description="part of the component; '-': the whole of it")
     label: Name | None = Field(

@@ -97,6 +97,12 @@ CHANNEL = {"name": "Z1", "column": "Z1"}
             "temperatures.sources[0].modbus.sensors[0].min_degc",
             "below cleansing.min_degc (-20)",
         ),
+        (
+            "temperatures.sources",
+            [{**BOX, "modbus": {"host": "x", "sensors": [{**BOX_SENSORS[0], "id": 2_603_150_001}]}}],
+            "temperatures.sources[0].modbus.sensors[0].id",
+            "at most 99999999",  # beyond 32 bit no sink of the plant takes a row of its source
+        ),
         ("temperatures.lines.0.grammar", {}, "temperatures.lines[0].grammar", "only then"),
         ("temperatures.lines.0.profile", "custom", "temperatures.lines[0].profile", "give `grammar`"),
         ("temperatures.sensors.1", {"id": 1, **SENSOR}, "temperatures.sensors[1].id", "sensor 1 is listed twice"),
@@ -108,6 +114,12 @@ CHANNEL = {"name": "Z1", "column": "Z1"}
             {"file": {"path": "x"}, "channels": [CHANNEL]},
             "displacements.channels[0].column",
             "columns must be given by number",
+        ),
+        (
+            "displacements",
+            {"file": {**FILE, "time_columns": [0]}, "channels": [CHANNEL]},
+            "displacements.file.time_columns",
+            "columns count from 1",  # 0 would be the last one
         ),
         (
             "displacements",

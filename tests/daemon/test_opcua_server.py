@@ -113,6 +113,24 @@ async def test_estimate_compensation_and_state_are_tags_and_a_subscriber_hears_o
             await subscription.delete()
 
 
+async def test_a_subscriber_hears_the_clock_go_on(tmp_path, keys):
+    """Plant systems take a server whose CurrentTime stands still for one that hangs."""
+    heard: dict[int, list[object]] = {2258: [], 2256: []}
+
+    class Heard:
+        def datachange_notification(self, node, value, data):
+            heard[node.nodeid.Identifier].append(value)
+
+    async with tag_server(tmp_path, keys) as bench, bench.logged_in("otto") as client:
+        subscription = await client.create_subscription(250, Heard())
+        await subscription.subscribe_data_change([client.get_node(f"i={number}") for number in heard])
+        async with asyncio.timeout(20.0):
+            while min(map(len, heard.values())) < 3:
+                await asyncio.sleep(0.05)
+        await subscription.delete()
+    assert heard[2258] == sorted(set(heard[2258])) and heard[2256][0].CurrentTime < heard[2256][-1].CurrentTime
+
+
 async def moved(bench: OpcUaBench, what):
     """Move the output on until a call has been answered."""
     asked = asyncio.ensure_future(what)

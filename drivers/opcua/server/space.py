@@ -89,6 +89,8 @@ class Variable(Node):
     """A value with its quality and the time of its source; encoded once for all who read it."""
 
     __slots__ = ("_encoded", "changed", "kind", "rank", "server_100ns", "source_100ns", "stamped", "status", "value")
+    runs = False
+    """It holds the time, so it is another one whenever it is looked at."""
 
     def __init__(
         self,
@@ -150,6 +152,7 @@ class Clock(Variable):
     """The server's time: read anew each time."""
 
     __slots__ = ()
+    runs = True
 
     def read(self, stamps: int) -> bytes:
         now = time_100ns(time.time())

@@ -85,6 +85,7 @@ class Status(Variable):
     """State of the server as one structure; it holds the time, so it is made when it is read."""
 
     __slots__ = ("_build", "started_100ns")
+    runs = True
 
     def __init__(self, application_uri: str, product: str, version: str) -> None:
         super().__init__((0, 2256), "ServerStatus", Kind.EXTENSION, type_number=2138, data_type=STATUS_TYPE)

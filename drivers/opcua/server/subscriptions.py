@@ -44,7 +44,7 @@ class Item:
         """Return what is to be told, None where nothing has changed."""
         variable = self.variable
         count = variable.stamped if self.trigger == TRIGGER_TIME else variable.changed
-        if count == self.seen or self.mode != REPORTING:
+        if (count == self.seen and not variable.runs) or self.mode != REPORTING:
             return None
         self.seen = count
         if self.trigger == TRIGGER_STATUS:
