@@ -268,16 +268,14 @@ def _with_leaving(levels: SensorLevels, seen: BelievedValues) -> SensorLevels:
         after = (k for k, then in enumerate(levels.recent) if then[0] >= seen.at_s[index])
         moment = next(after, None)
         if moment not in moments:
-            moments[moment] = _left_at(levels, moment, seen.now_s)
+            moments[moment] = _left_at(levels, moment, float(seen.at_s[index]))
         left[index] = moments[moment]
     return replace(levels, left=MappingProxyType(left))
 
 
-def _left_at(levels: SensorLevels, moment: int | None, now_s: float) -> Left:
-    """Return how everything was, and how it was going, at one of the recent moments."""
-    if moment is None:
-        return Left(at_s=now_s, degc=levels.degc, trend_k_per_min=np.zeros_like(levels.degc))
-    at_s, degc = levels.recent[moment]
+def _left_at(levels: SensorLevels, moment: int | None, at_s: float) -> Left:
+    """Return how everything was, and how it was going, at one of the recent moments; None: at the time, after them."""
+    at_s, degc = (at_s, levels.degc) if moment is None else levels.recent[moment]
     before = next((then for then in levels.recent if at_s - then[0] <= TREND_S), (at_s, degc))
     if (elapsed_s := at_s - before[0]) < SHORTEST_TREND_S:
         return Left(at_s=at_s, degc=degc, trend_k_per_min=np.zeros_like(degc))

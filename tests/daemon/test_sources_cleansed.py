@@ -108,6 +108,18 @@ def test_a_spindle_that_warms_fast_and_a_sensor_with_noise_are_believed_however_
     assert not fed._cleansing.levels.uncertainty_k.any() and fed._cleansing.levels.jumps == ()
 
 
+@pytest.mark.parametrize("period_s", [1.0, 5.0, 10.0])
+def test_what_a_machine_did_while_nothing_at_all_was_read_is_doubted_however_often_it_is_read(period_s: float) -> None:
+    """It has cooled by 8 K in two hours, or the box is wrong by that: nobody is there who could tell."""
+    fed = Fed(period_s, **TENTHS)
+    last_s = 605.0 - 605.0 % period_s
+    for at_s in np.arange(0.0, last_s + period_s / 2, period_s):
+        fed(float(at_s), 30.0, 31.0)
+    for at_s in last_s + 7200.0 + period_s * np.arange(12):
+        fed(float(at_s), 22.0, 23.0)
+    assert np.abs(fed._cleansing.levels.uncertainty_k[4:]).min() > 7.0
+
+
 @pytest.mark.parametrize("wrong", [33.0, 21.5, -15.0, 99.0])
 def test_one_wrong_reading_after_a_silence_moves_nothing(wrong: float) -> None:
     fed = Fed()
