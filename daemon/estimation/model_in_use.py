@@ -21,8 +21,6 @@ SPARE_PERIODS = 2.0
 """A rebuild begins this many samples earlier than the states need."""
 SHOWN = 20
 """Sensors named in one line of the log."""
-LATE_PERIODS = 1.5
-"""A reference older than this many samples is looked up in the history."""
 PERIOD_S = 60.0
 """Time between the samples of a history where the model does not say [s]."""
 
@@ -113,14 +111,13 @@ class ModelInUse:
         lags_right_s, self._lags_right_s = max(self._lags_right_s, now_s - self.memory_s), now_s
         for at_s, place, jump_k in jumps:
             jumped_k[self._inputs == place] += jump_k if at_s > lags_right_s else 0.0
-        late = now_s - then_s > LATE_PERIODS * self._period_s
-        stateless = self._online.history_min <= 0.0
+        lies_back = excluded is not None and self._online.history_min > 0.0
         admitted = self._online.set_reference(
             OnlineReference(
                 time_min=then_s / 60.0,
                 now_min=now_s / 60.0,
                 degc=(reference.degc if inputs is None else inputs)[self._inputs],
-                history=self._samples(then_s, self._online.history_min) if late and not stateless else None,
+                history=self._samples(then_s, self._online.history_min) if lies_back else None,
                 excluded=excluded,
                 kept=kept,
                 jumped_k=np.where(np.abs(jumped_k) > OWN_K, jumped_k, 0.0),

@@ -652,6 +652,32 @@ async def test_a_reference_that_was_never_left_is_not_made_anew_from_the_history
         await shop.end()
 
 
+async def test_a_reference_of_a_minute_before_a_restart_is_taken_up_with_the_states_of_then(tmp_path, model):
+    """With those of now the lags would lose what had warmed in that minute: 1.5 um."""
+    shops = []
+    for name in ("twin", "restarted"):
+        (tmp_path / name).mkdir()
+        shop = Shop(tmp_path / name, model, step_s=20.0)
+        await shop.prepare()
+        await shop.run(PAST_MIN + 26)
+        reference = await shop.refer()
+        shop.sensors = next(item for item in reversed(shop.delivered) if isinstance(item, SensorsSinceReference))
+        await shop.run(1)
+        if name == "restarted":
+            taken_up = shop.taken_up(reference)
+            await shop.end()
+            shop.begin()
+            await shop.prepare()
+            await shop.task._take(taken_up)
+        await shop.run(10)
+        shops.append(shop)
+    twin, loop = (shop.latest for shop in shops)
+    assert loop.confidence > 0.9
+    np.testing.assert_allclose(loop.thermal_error_um, twin.thermal_error_um, atol=0.3)
+    for shop in shops:
+        await shop.end()
+
+
 def speed_alone():
     lagless = lagged_model("speed alone")
     layout = Layout(sensors=len(SENSOR_IDS), lags_min=(), speed_lags_min=(30.0,))
