@@ -15,6 +15,7 @@ from daemon.state_store.documents import CalendarOfBoot, ControlRead
 from daemon.state_store.store import StateStore
 from daemon.telemetry.metrics import give_memory_back
 from drivers.clock import Clock
+from models.cleanse import HELD_PERIODS
 from models.quality import Quality
 from models.records import FloatArray
 
@@ -54,8 +55,11 @@ class HistoryBackfill:
     ) -> None:
         """`positions`: those of the axes follow the temperatures of `means` [mm]. `documents`: of the state."""
         self._store = configuration.history.path
-        self._sensor_ids = configuration.temperatures.sensor_ids
-        self._longest_s = configuration.compensation.reference.max_outage_s
+        temperatures = configuration.temperatures
+        self._sensor_ids = temperatures.sensor_ids
+        held_s = HELD_PERIODS * max(each.cycle_period_s for each in temperatures.inputs)
+        held_s = max(held_s, temperatures.cleansing.stale_after_s)
+        self._longest_s = configuration.compensation.reference.max_outage_s + held_s
         self._clock = clock
         self._positions = positions
         self._documents, now = documents, clock.now()
@@ -127,9 +131,9 @@ class HistoryBackfill:
     def last_accepted(self) -> tuple[FloatArray, FloatArray, list[tuple[float, FloatArray]]]:
         """Return the latest accepted value of each sensor [degC] and when it was [s]; NaN and -inf where none is.
 
-        Result: also the times [s] and readings [degC] of the ten minutes in which these were, NaN where none came.
+        Result: also the times [s] and readings [degC] of the time in which these were, NaN where none came.
 
-        It reaches as far back as an outage may last after which a reference is taken up.
+        It reaches as far back as an outage may last after which a reference is taken up, and a value is held before.
         """
         degc, at_s = np.full(len(self._sensor_ids), np.nan), np.full(len(self._sensor_ids), -np.inf)
         end_s = now_s = self._clock.now().monotonic_s
@@ -138,17 +142,19 @@ class HistoryBackfill:
             return degc, at_s, read
         try:
             with HistoryReader(self._store, also_on_full_disk=True) as reader:
-                while not np.isfinite(degc).any() and now_s - end_s < self._longest_s:
+                while (unknown := np.isnan(degc)).any() and now_s - end_s < self._longest_s:
+                    later, read = read, []
                     for span, from_utc_s, to_utc_s in self._within(end_s - RECALL_S, end_s):
                         found = reader.temperatures(self._sensor_ids, from_utc_s, to_utc_s)
                         own = self._of(span, found.time_s, found.monotonic_s)
                         good = (found.quality == Quality.GOOD) & own[:, None]
                         told = np.where(found.quality <= Quality.HELD, found.degc, np.nan)[own]
                         read += zip((found.time_s[own] - span.to_utc_s).tolist(), told, strict=True)
-                        for column in np.flatnonzero(good.any(axis=0)):
+                        for column in np.flatnonzero(good.any(axis=0) & unknown):
                             row = np.flatnonzero(good[:, column])[-1]
                             degc[column] = found.degc[row, column]
                             at_s[column] = found.time_s[row] - span.to_utc_s
+                    read += later
                     end_s -= RECALL_S
         except HistoryError as error:
             log.error("history.unreadable", problem=str(error))
