@@ -36,6 +36,7 @@ from models.records import (
     DisplacementSample,
     FloatArray,
     MachineTemperatures,
+    OutputState,
     Phase,
     Reference,
     ThermalErrorEstimate,
@@ -224,7 +225,7 @@ class ControlTask:
             self._startup.settle_writes(self._parts.history, sample, session.echo, now)
             self.memory = self._startup.begin(session, now.monotonic_s, explained=not problems)
             self._measured.on_sample(sample, session.echo, self._estimate)
-        elif self.writer.unwritten(session):
+        elif self.writer.unwritten(session) or self.memory.state is OutputState.OFF:
             self.memory = begun_at(self.memory, session.echo.applied_um)
         self._references.keep()
 

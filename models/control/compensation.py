@@ -101,10 +101,10 @@ def initial_memory(
 
 
 def begun_at(memory: OutputMemory, applied_um: FloatArray) -> OutputMemory:
-    """Return the memory of an output that has written nothing yet, begun at a newer echo, shape (n_axes,) [um]."""
+    """Return the memory of an output that is OFF or has written nothing yet, begun at a newer echo, (n_axes,) [um]."""
     command_um = np.where(np.isfinite(applied_um), applied_um, memory.command_um)
     begun = initial_memory(now_s=memory.since_s, applied_um=command_um, wanted=memory.wanted)
-    now = begun if memory.state is OutputState.OFF else memory
+    now = begun if memory.state is OutputState.OFF and begun.state is not OutputState.OFF else memory
     return replace(memory, command_um=command_um, state=now.state, reason=now.reason)
 
 

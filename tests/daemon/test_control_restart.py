@@ -70,6 +70,29 @@ async def test_the_command_begins_where_the_guard_has_gone_before_the_first_writ
         assert rig.applied["z"] == pytest.approx(begun_um, abs=1e-6)
 
 
+async def test_what_the_guard_takes_of_before_the_start_just_before_the_first_write_is_taken_out_again(bench):
+    """Switched off, and killed before the block said so: the output begins OFF, with a block that is still valid."""
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        for _ in range(30):
+            await rig.turn(rig.estimate(0.0, -8.0), safe=False)
+        rig.alive()
+        rig.control._startup.keep((False, False, False))
+    async with running(bench.rig()) as rig:
+
+        def guard_between(macros):
+            if tuple(macros) == rig.block.ours:  # what is to be written was compared
+                bench.nc.after_read = None
+                bench.nc.safe_point()
+
+        bench.nc.after_read = guard_between
+        await rig.turn(safe=False)
+        assert rig.applied["z"] == 8.0
+        for _ in range(30):
+            await rig.turn()
+        assert (rig.state, rig.applied["z"]) == ("OFF", 0.0)
+
+
 async def test_a_restart_takes_the_reference_up_as_returned_sensors_have_set_it_anew(bench):
     async with running(bench.rig()) as rig:
         await rig.active(handshake=True)
