@@ -202,3 +202,36 @@ def test_processes_and_ridges_together_must_be_clearly_better_than_one_kind(
     choice = ChosenProblem(("lags", "gaussian"), inputs, rows, fold, None).choice
     assert choice.family == family
     assert "gaussian and ridges leaves" in choice.why
+
+
+def unlike(seed: int) -> Recording:
+    """A run of a machine of which the sensors tell one channel well, by small differences, and next to nothing of z."""
+    rng, minutes = np.random.default_rng(seed), 90
+    heat = np.repeat(rng.uniform(0.0, 1.0, (minutes // 15, 2)), 15, axis=0)
+    body = np.hstack(list(lag_table(np.arange(float(minutes)), heat, (15.0, 60.0))))
+    places = 1.0 + np.random.default_rng(0).uniform(-0.05, 0.05, (4, SENSORS))
+    exact = 22.0 + 10.0 * body @ places
+    y_um = 30.0 * (exact[:, 0] - exact[:, 1]) + 10.0 * (exact[:, 2] - exact[:, 3])
+    z_um = 5.0 * np.cumsum(rng.normal(size=minutes))
+    return Recording(
+        name=f"unlike {seed}",
+        time_s=60.0 * np.arange(float(minutes)),
+        speed_rpm=None,
+        temperature_names=tuple(f"T{i + 1}" for i in range(SENSORS)),
+        temperatures_degc=exact + rng.normal(0.0, 0.002, exact.shape),
+        displacement_names=("y", "z"),
+        displacements_um=np.column_stack([y_um, z_um]),
+    )
+
+
+def test_a_channel_that_the_sensors_tell_well_does_not_pay_for_one_of_which_they_tell_nothing() -> None:
+    """One penalty for both damps what is known of y, because little damping makes noise of z."""
+    both = [unlike(seed) for seed in range(6)]
+    alone = [replace(run, displacement_names=("y",), displacements_um=run.displacements_um[:, :1]) for run in both]
+    left_um = []
+    for some in (both, alone):
+        found = train_family(some, "default", sample_s=60.0, created="2026-01-01T00:00:00Z")
+        assert found.choice is not None
+        assert ("y, by itself, has" in found.choice.why) == (some[0].displacement_names == ("y", "z"))
+        left_um.append(found.trust.band_um[0])
+    assert left_um[0] < 1.3 * left_um[1]

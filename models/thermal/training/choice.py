@@ -2,8 +2,8 @@
 
 Members on temperatures, on their lags and on lagged speed are averaged: the few that leave least of what was left out,
 or as much of each as makes the mean leave clearly less; nobody is a member because it always was one. A family on
-temperatures alone is taken in place of the mean unless it is clearly worse, fold by fold. What leaves more than there
-is without a model is refused.
+temperatures alone is taken in place of the mean unless it is clearly worse, fold by fold. A channel of which members
+and penalties of its own leave clearly less has these. What leaves more than there is without a model is refused.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from models.recordings.dataset import DatasetError
+from models.records import FloatArray
 from models.thermal.features import BoolArray, IntArray, Layout
 from models.thermal.model import HyperParameters
 from models.thermal.training.families import (
@@ -21,22 +22,31 @@ from models.thermal.training.families import (
     fold_numbers,
     ridge_fit,
 )
-from models.thermal.training.gaussian_member import GaussianMember, gaussian_fit, widened_piece
+from models.thermal.training.gaussian_member import GaussianMember, gaussian_fit, weighed_piece, widened_piece
 from models.thermal.training.increment_family import increments_without_drift
 from models.thermal.training.inputs import Inputs
 from models.thermal.training.lags import FAST_MIN, columns_of, offered_lags, part_of, weighed, widened
 from models.thermal.training.left_out_errors import (
     LeftOutErrors,
     advantage,
+    beside,
     left_out_errors,
     mean_errors,
+    of_channel,
     of_two_runs,
     only,
     relative,
     rmse_um,
 )
 from models.thermal.training.mixing import even_weights, mean_weights
-from models.thermal.training.ridge_member import DEPARTURES, LEVELS, RidgeFamily, RidgeMember, joint_layout
+from models.thermal.training.ridge_member import (
+    DEPARTURES,
+    LEVELS,
+    ON_TEMPERATURES,
+    RidgeFamily,
+    RidgeMember,
+    joint_layout,
+)
 from models.thermal.training.trust import independent_folds
 
 ON_DEPARTURES = {"fast": False, "slow": True}
@@ -49,6 +59,8 @@ PLAIN_BETTER = 1.0
 """... and one on temperatures alone than another of these."""
 MIXED_BETTER = 1.0
 """By so many the mean of processes and ridges must be better than that of one kind: it is the best of more trials."""
+OWN_BETTER = 2.0
+"""By so many members of a channel's own must be better than those of all channels: every channel is a trial more."""
 WATCH_IS_WORTH = 0.02
 """A family of which no sensor can be left out, so that none can be watched, must leave so much less of the error."""
 FEWEST_TO_MIX = 3
@@ -58,7 +70,7 @@ FEWEST_CYCLES_OF_ONE_RUN = 4
 BETTER_IN_BOTH = 0.8
 """Of two runs one family must leave less than this share of what another leaves, in each of them when only the other
 was trained on."""
-ON_TEMPERATURES: dict[str, Prepare] = {
+PLAIN: dict[str, Prepare] = {
     "ridge": RidgeFamily,
     "increments": increments_without_drift,
 }
@@ -100,7 +112,7 @@ class _Tried:
     errors: LeftOutErrors | None
     hyper_parameters: HyperParameters = field(default_factory=dict)
     refused: str | None = None
-    members: Sequence[tuple[Member, float]] = ()
+    members: Sequence[tuple[Member, FloatArray | float]] = ()
     """Of which it is the weighted mean, where it is one."""
 
     @property
@@ -121,11 +133,12 @@ class ChosenProblem:
         self._inputs, self._rows, self._fold, self._probe_min = inputs, rows, fold, probe_min
         self._families = families
         self._lags = offered_lags(inputs, rows)
+        self._made: tuple[list[RidgeMember], list[GaussianMember]] = [], []
         numbers = fold_numbers(rows, fold)
         self._independent = independent_folds(inputs, rows, len(numbers)) if len(numbers) > 1 else 0
         plain = families if self._lags.all_min else (*families, "ridge")
         without_lags = part_of(inputs, (), ())
-        tried = [self._on_temperatures(name, without_lags) for name in ON_TEMPERATURES if name in plain]
+        tried = [self._on_temperatures(name, without_lags) for name in PLAIN if name in plain]
         chosen, others, why = self._choose([one for one in tried if one.refused is None])
         self._chosen = chosen
         self.layout = chosen.layout
@@ -144,7 +157,7 @@ class ChosenProblem:
 
     def _on_temperatures(self, name: str, plain: Inputs) -> _Tried:
         try:
-            problem = ON_TEMPERATURES[name](plain, self._rows, self._fold, self._probe_min)
+            problem = PLAIN[name](plain, self._rows, self._fold, self._probe_min)
             errors = self._errors(plain, problem)
         except DatasetError as error:
             return _Tried(family=name, fit=_nothing, layout=plain.layout, errors=None, refused=str(error))
@@ -154,6 +167,7 @@ class ChosenProblem:
             layout=plain.layout,
             errors=errors,
             hyper_parameters=problem.hyper_parameters,
+            members=[(problem.member, 1.0)] if isinstance(problem, RidgeFamily) else (),
         )
 
     def _errors(self, inputs: Inputs, problem: Problem) -> LeftOutErrors | None:
@@ -212,12 +226,8 @@ class ChosenProblem:
                 why = f"gaussian was asked for by name, but the model holds no Gaussian process: {why}"
         else:
             others = self._mixed([False, True] if with_speed else [False])
-            *of_one_kind, last = others
-            chosen = min(of_one_kind or [last], key=lambda one: one.score)
-            if of_one_kind:
-                reasons.append(_comparison(others))
-                chosen, reason = simpler(chosen, last, errors=MIXED_BETTER)
-                reasons += [reason] if chosen is last or last.score < chosen.score else []
+            chosen, why_mean = _best_mean(others)
+            reasons += why_mean
             why = "; ".join(reasons) or f"{chosen.family} was asked for by name"
         if best_plain is None:
             return chosen, others, why
@@ -232,7 +242,51 @@ class ChosenProblem:
             )
             return best_plain, others, "; ".join(reasons)
         chosen, reason = simpler(best_plain, chosen)
-        return chosen, others, "; ".join([*reasons, reason])
+        reasons.append(reason)
+        if (own := self._of_channels(chosen)) is not None:
+            chosen, reason = own
+            others, reasons = [*others, chosen], [*reasons, reason]
+        return chosen, others, "; ".join(reasons)
+
+    def _of_channels(self, chosen: _Tried) -> tuple[_Tried, str] | None:
+        """Return the mean in which single channels have members of their own, and why; None: no channel has.
+
+        What is seen of one channel may ask for much damping, or lags, and what is seen of another for little and none.
+        """
+        ridges, _ = self._made
+        if chosen.errors is None or not chosen.members or not ridges:
+            return None
+        names, why, left = self._inputs.channels, [], []
+        kept: dict[tuple[str, float], tuple[Member, FloatArray]] = {}
+        for channel, name in enumerate(names):
+            used, errors = chosen, of_channel(chosen.errors, channel)
+            own = self._best_of_channel(channel)
+            if own.errors is not None and clearly_less(own.errors, errors):
+                shares = f"{relative(own.errors):.1%} of its left-out error in place of {relative(errors):.1%}"
+                why.append(f"{name}, by itself, has {own.family}, which leaves {shares}, clearly less")
+                used, errors = own, own.errors
+            left.append(errors)
+            for member, weight in used.members:
+                penalty = member.penalty if isinstance(member, RidgeMember) else 0.0
+                kept.setdefault((member.name, penalty), (member, np.zeros(len(names))))[1][channel] += weight
+        if not why:
+            return None
+        far = min(ridges, key=_score)
+        found = _mean(
+            f"{chosen.family} and channels by themselves", [*kept.values()], beside(left), self._inputs, self._rows, far
+        )
+        return found, "; ".join(why)
+
+    def _best_of_channel(self, channel: int) -> _Tried:
+        """Return what would be chosen if there were one channel alone."""
+        made, processes = self._made
+        ridges = [one.of_channel(channel) for one in made]
+        mean, _ = _best_mean(self._means(ridges, [one.of_channel(channel) for one in processes]))
+        plain = next((one for one in ridges if one.name == ON_TEMPERATURES), None)
+        if plain is None:
+            return mean
+        alone = _mean("ridge", [(plain, 1.0)], plain.errors, self._inputs, self._rows, None)
+        return simpler(alone, mean)[0]
 
     def _halves(self) -> IntArray | None:
         """Return in which half of the cycles of a single run each row lies, -1 elsewhere; None: too few, or several."""
@@ -312,6 +366,11 @@ class ChosenProblem:
                 ridges += self._ridges(speed=speed, lagged=False)
         if "gaussian" in self._families:
             processes = self._processes(speed=speeds[-1])
+        self._made = ridges, processes
+        return self._means(ridges, processes)
+
+    def _means(self, ridges: list[RidgeMember], processes: list[GaussianMember]) -> list[_Tried]:
+        """Return the means of members that are tried, that of both kinds last."""
         found = []
         if "lags" in self._families:
             found.append(mean_of("lags", ridges, self._inputs, self._rows))
@@ -320,6 +379,23 @@ class ChosenProblem:
         if "lags" in self._families and processes:
             found.append(mean_of("gaussian and ridges", [*processes, *ridges], self._inputs, self._rows, ridges))
         return found
+
+
+def _best_mean(means: Sequence[_Tried]) -> tuple[_Tried, list[str]]:
+    """Return the mean that is taken of those that are tried, that of both kinds the last of them, and why."""
+    *of_one_kind, last = means
+    chosen, reasons = min(of_one_kind or [last], key=lambda one: one.score), []
+    if of_one_kind:
+        reasons.append(_comparison(means))
+        chosen, reason = simpler(chosen, last, errors=MIXED_BETTER)
+        reasons += [reason] if chosen is last or last.score < chosen.score else []
+    return chosen, reasons
+
+
+def clearly_less(own: LeftOutErrors, of_all: LeftOutErrors) -> bool:
+    """Whether members of a channel's own leave clearly less of it than those of all channels."""
+    gained, error = advantage(own, of_all)
+    return gained > max(OWN_BETTER * error, LEAST_GAIN)
 
 
 def _named(name: str, speed: bool) -> str:
@@ -399,13 +475,16 @@ def mean_of(
 
 def _mean(
     family: str,
-    kept: Sequence[tuple[Member, float]],
+    kept: Sequence[tuple[Member, FloatArray | float]],
     left: LeftOutErrors | None,
     inputs: Inputs,
     rows: BoolArray,
     far: RidgeMember | None,
 ) -> _Tried:
-    """Return the weighted mean of some members, and what it leaves; `far`: counts alone far out, if a member bends."""
+    """Return the weighted mean of some members, and what it leaves; `far`: counts alone far out, if a member bends.
+
+    `kept`: members and how much each counts, of all channels or of each.
+    """
     processes = [(one, weight) for one, weight in kept if isinstance(one, GaussianMember)]
     linear = [(one, weight) for one, weight in kept if isinstance(one, RidgeMember)]
     used = [one for one, _ in kept] + ([far] if processes and far is not None else [])
@@ -418,15 +497,23 @@ def _mean(
         if not processes:
             return ridge_fit([weighed(solutions[id(one)], weight * len(linear)) for one, weight in linear])
         assert far is not None
+        of_each = {id(one): float(np.mean(weight)) for one, weight in kept}
         away = solutions.get(id(far)) or widened(far.solution(left_out), layout)
-        pieces = [widened_piece(one.piece(left_out), layout) for one, _ in processes]
-        shares = [weight for _, weight in (*processes, *linear)]
+        ridges = [
+            solutions[id(one)] if np.ndim(weight) == 0 else weighed(solutions[id(one)], weight / of_each[id(one)])
+            for one, weight in linear
+        ]
+        pieces = [
+            weighed_piece(widened_piece(one.piece(left_out), layout), weight / of_each[id(one)])
+            for one, weight in processes
+        ]
         limit = float(np.mean([one.deviation_limit for one, _ in processes]))
-        return gaussian_fit(pieces, list(solutions.values()), centre, shares, away, limit)
+        shares = [of_each[id(one)] for one, _ in (*processes, *linear)]
+        return gaussian_fit(pieces, ridges, centre, shares, away, limit)
 
     hyper_parameters: HyperParameters = {
         "members": ", ".join(one.name for one, _ in kept),
-        "shares": [weight for _, weight in kept],
+        "shares": [float(np.mean(weight)) for _, weight in kept],
     }
     if linear:
         hyper_parameters["penalties"] = [one.penalty for one, _ in linear]

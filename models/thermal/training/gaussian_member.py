@@ -1,6 +1,7 @@
 """A Gaussian process as a member of a mean: on a part of the lags, with hyper-parameters from the evidence."""
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,8 +13,8 @@ from models.thermal.solution import Solution
 from models.thermal.training.families import Fit, fold_numbers
 from models.thermal.training.gaussian_process import GaussianProcess, Posterior, Rows, principal_coordinates
 from models.thermal.training.inputs import Inputs
-from models.thermal.training.lags import columns_of, widened
-from models.thermal.training.left_out_errors import LeftOutErrors, left_out_errors
+from models.thermal.training.lags import columns_of, weighed, widened
+from models.thermal.training.left_out_errors import LeftOutErrors, left_out_errors, of_channel
 
 MOST_ROWS = 600
 """So many rows, evenly spread over the training rows, are fitted on: neighbouring rows say nearly the same."""
@@ -115,6 +116,12 @@ class GaussianMember:
             self._pieces[left_out] = self._made(self._posterior(GaussianProcess(self._rows), left_out))
         return self._pieces[left_out]
 
+    def of_channel(self, channel: int) -> "GaussianMember":
+        """Return this member scored on one channel alone; its hyper-parameters are those of all."""
+        found = copy(self)
+        found.errors = None if self.errors is None else of_channel(self.errors, channel)
+        return found
+
     def _posterior(self, process: GaussianProcess, left_out: frozenset[int]) -> Posterior:
         """Return what all rows but some folds tell."""
         used = np.flatnonzero(~np.isin(self._fold, list(left_out)))
@@ -182,6 +189,12 @@ def widened_piece(piece: Piece, whole: Layout) -> Piece:
     coordinates = np.zeros((whole.columns, piece.bend.coordinates.shape[1]), dtype=np.float32)
     coordinates[columns_of(piece.solution.layout, whole)] = piece.bend.coordinates
     return Piece(solution=widened(piece.solution, whole), bend=replace(piece.bend, coordinates=coordinates))
+
+
+def weighed_piece(piece: Piece, factor: FloatArray | float) -> Piece:
+    """Return a fitted member that counts so many times as much in a mean, of all channels or of each."""
+    bend = replace(piece.bend, weights_um=factor * piece.bend.weights_um)
+    return Piece(solution=weighed(piece.solution, factor), bend=bend)
 
 
 def gaussian_fit(

@@ -113,6 +113,9 @@ def widened(solution: Solution, whole: Layout) -> Solution:
     )
 
 
-def weighed(solution: Solution, factor: float) -> Solution:
-    """Return a solution that counts so many times as much in a mean, with or without sensors left out."""
+def weighed(solution: Solution, factor: FloatArray | float) -> Solution:
+    """Return a solution that counts so many times as much in a mean, with or without sensors left out.
+
+    `factor`: of all channels, or of each, shape (n_channels,).
+    """
     return replace(solution, weights=factor * solution.weights)

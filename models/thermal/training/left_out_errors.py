@@ -113,6 +113,25 @@ def together(parts: Sequence[LeftOutErrors]) -> LeftOutErrors:
     )
 
 
+def of_channel(errors: LeftOutErrors, channel: int) -> LeftOutErrors:
+    """Return what is left of one channel, by its index from 0."""
+    column = slice(channel, channel + 1)
+    return replace(
+        errors,
+        measured_um=tuple(each[:, column] for each in errors.measured_um),
+        residual_um=tuple(each[:, column] for each in errors.residual_um),
+    )
+
+
+def beside(channels: Sequence[LeftOutErrors]) -> LeftOutErrors:
+    """Return the errors of all channels from those of each, of the same stretches."""
+    return replace(
+        channels[0],
+        measured_um=tuple(np.hstack(each) for each in zip(*(one.measured_um for one in channels), strict=True)),
+        residual_um=tuple(np.hstack(each) for each in zip(*(one.residual_um for one in channels), strict=True)),
+    )
+
+
 def only(errors: LeftOutErrors, fold: int) -> LeftOutErrors:
     """Return the stretches of one fold."""
     places = np.flatnonzero(errors.folds == fold)

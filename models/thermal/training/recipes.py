@@ -7,7 +7,7 @@ from functools import partial
 from models.thermal.family import ThermalModel
 from models.thermal.features import BoolArray
 from models.thermal.training.advice import advice
-from models.thermal.training.choice import ON_TEMPERATURES, ChosenProblem
+from models.thermal.training.choice import PLAIN, ChosenProblem
 from models.thermal.training.families import Prepare
 from models.thermal.training.folds import FEWEST_CYCLES
 from models.thermal.training.increment_family import (
@@ -49,7 +49,7 @@ RECIPES = {
     "default": Recipe(
         name="default",
         kind="default",
-        prepare=partial(ChosenProblem, (*ON_TEMPERATURES, "lags", "gaussian")),
+        prepare=partial(ChosenProblem, (*PLAIN, "lags", "gaussian")),
         lags=True,
     ),
     "lags": Recipe(name="lags", kind="lags", prepare=partial(ChosenProblem, ("lags",)), lags=True),

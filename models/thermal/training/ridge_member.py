@@ -1,6 +1,7 @@
 """A ridge as a member of a mean: one design on a part of the lags, its penalty chosen by what is left out."""
 
 from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 
@@ -9,12 +10,22 @@ from models.thermal.model import HyperParameters
 from models.thermal.solution import Solution
 from models.thermal.training.families import Fit, fold_numbers, ridge_fit
 from models.thermal.training.inputs import Inputs
-from models.thermal.training.left_out_errors import LeftOutErrors, left_out_errors, only, relative_of, together
+from models.thermal.training.left_out_errors import (
+    LeftOutErrors,
+    left_out_errors,
+    of_channel,
+    only,
+    relative_of,
+    together,
+)
 from models.thermal.training.ridge import PENALTIES, RidgeProblem
 
 LEVELS = Design(departures=False)
 DEPARTURES = Design(departures=True)
 """Of a ridge on temperatures, and of one on lags of them: what a part is warmer than it was decides how it bends."""
+
+ON_TEMPERATURES = "temperatures levels"
+"""What the ridge on temperatures alone is called among members."""
 
 
 class RidgeMember:
@@ -40,9 +51,13 @@ class RidgeMember:
         numbers = fold_numbers(rows, fold)
         self.penalty = PENALTIES[len(PENALTIES) // 2]
         self.errors: LeftOutErrors | None = None
+        self._of_channels: list[tuple[int, LeftOutErrors]] = []
         if len(numbers) > 1:
-            best, self.errors = nested_errors(self._tried(inputs, rows, fold, probe_min, numbers))
+            tried = self._tried(inputs, rows, fold, probe_min, numbers)
+            best, self.errors = nested_errors(tried)
             self.penalty = PENALTIES[best]
+            channels = range(len(inputs.channels))
+            self._of_channels = [nested_errors([of_channel(one, channel) for one in tried]) for channel in channels]
 
     def _tried(
         self, inputs: Inputs, rows: BoolArray, fold: IntArray, probe_min: float | None, numbers: list[int]
@@ -59,6 +74,13 @@ class RidgeMember:
         """Return the ridge on everything but some folds, in the columns of its own layout."""
         return self._problem.solve(left_out, [self.penalty])[0]
 
+    def of_channel(self, channel: int) -> "RidgeMember":
+        """Return this member with the penalty that leaves least of one channel, scored on that alone."""
+        found = copy(self)
+        best, found.errors = self._of_channels[channel]
+        found.penalty = PENALTIES[best]
+        return found
+
 
 class RidgeFamily:
     """A ridge on the columns of the inputs as they are, see `Prepare`."""
@@ -66,16 +88,16 @@ class RidgeFamily:
     def __init__(
         self, inputs: Inputs, rows: BoolArray, fold: IntArray, probe_min: float | None, design: Design = LEVELS
     ) -> None:
-        self._member = RidgeMember("ridge", inputs, rows, fold, probe_min, design)
+        self.member = RidgeMember(ON_TEMPERATURES, inputs, rows, fold, probe_min, design)
         self.hyper_parameters: HyperParameters = {
-            "penalties": [self._member.penalty],
+            "penalties": [self.member.penalty],
             "lags_min": list(inputs.layout.lags_min),
             "speed_lags_min": list(inputs.layout.speed_lags_min),
         }
 
     def fit(self, left_out: frozenset[int] = frozenset()) -> Fit:
         """Return the fit on everything but some folds."""
-        return ridge_fit([self._member.solution(left_out)])
+        return ridge_fit([self.member.solution(left_out)])
 
 
 def nested_errors(tried: Sequence[LeftOutErrors]) -> tuple[int, LeftOutErrors]:
