@@ -7,7 +7,7 @@ and penalties of its own leave clearly less has these. What leaves more than the
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -199,12 +199,10 @@ class ChosenProblem:
         made = []
         for part, inputs in self._parts(speed=speed):
             if part in ON_DEPARTURES:
-                made.append(self._process(_named(f"gaussian {part}", speed), inputs, departures=ON_DEPARTURES[part]))
+                name, departures = _named(f"gaussian {part}", speed), ON_DEPARTURES[part]
+                made.append(GaussianMember(name, inputs, self._rows, self._fold, self._probe_min, departures))
             del inputs
         return made
-
-    def _process(self, name: str, inputs: Inputs, *, departures: bool) -> GaussianMember:
-        return GaussianMember(name, inputs, self._rows, self._fold, self._probe_min, departures)
 
     def _choose(self, plain: Sequence[_Tried]) -> tuple[_Tried, list[_Tried], str]:
         """Return what is chosen, what else was tried with lags, and why it is that one."""
@@ -256,26 +254,20 @@ class ChosenProblem:
         ridges, _ = self._made
         if chosen.errors is None or not chosen.members or not ridges:
             return None
-        names, why, left = self._inputs.channels, [], []
-        kept: dict[tuple[str, float], tuple[Member, FloatArray]] = {}
-        for channel, name in enumerate(names):
-            used, errors = chosen, of_channel(chosen.errors, channel)
+        why, used = [], []
+        for channel, name in enumerate(self._inputs.channels):
+            all_alike = replace(chosen, errors=of_channel(chosen.errors, channel))
             own = self._best_of_channel(channel)
-            if own.errors is not None and clearly_less(own.errors, errors):
-                shares = f"{relative(own.errors):.1%} of its left-out error in place of {relative(errors):.1%}"
+            better = clearly_less(own, all_alike)
+            if better:
+                shares = f"{own.score:.1%} of its left-out error in place of {all_alike.score:.1%}"
                 why.append(f"{name}, by itself, has {own.family}, which leaves {shares}, clearly less")
-                used, errors = own, own.errors
-            left.append(errors)
-            for member, weight in used.members:
-                penalty = member.penalty if isinstance(member, RidgeMember) else 0.0
-                kept.setdefault((member.name, penalty), (member, np.zeros(len(names))))[1][channel] += weight
+            used.append(own if better else all_alike)
         if not why:
             return None
-        far = min(ridges, key=_score)
-        found = _mean(
-            f"{chosen.family} and channels by themselves", [*kept.values()], beside(left), self._inputs, self._rows, far
-        )
-        return found, "; ".join(why)
+        left = beside([one.errors for one in used if one.errors is not None])
+        far, family = min(ridges, key=_score), f"{chosen.family} and channels by themselves"
+        return _mean(family, _of_each(used), left, self._inputs, self._rows, far), "; ".join(why)
 
     def _best_of_channel(self, channel: int) -> _Tried:
         """Return what would be chosen if there were one channel alone."""
@@ -392,10 +384,22 @@ def _best_mean(means: Sequence[_Tried]) -> tuple[_Tried, list[str]]:
     return chosen, reasons
 
 
-def clearly_less(own: LeftOutErrors, of_all: LeftOutErrors) -> bool:
+def clearly_less(own: _Tried, of_all: _Tried) -> bool:
     """Whether members of a channel's own leave clearly less of it than those of all channels."""
-    gained, error = advantage(own, of_all)
+    if own.errors is None or of_all.errors is None:
+        return False
+    gained, error = advantage(own.errors, of_all.errors)
     return gained > max(OWN_BETTER * error, LEAST_GAIN)
+
+
+def _of_each(used: Sequence[_Tried]) -> list[tuple[Member, FloatArray]]:
+    """Return members and how much each counts in each channel, from what each channel has."""
+    kept: dict[tuple[str, float], tuple[Member, FloatArray]] = {}
+    for channel, one in enumerate(used):
+        for member, weight in one.members:
+            penalty = member.penalty if isinstance(member, RidgeMember) else 0.0
+            kept.setdefault((member.name, penalty), (member, np.zeros(len(used))))[1][channel] += weight
+    return [*kept.values()]
 
 
 def _named(name: str, speed: bool) -> str:
