@@ -177,6 +177,20 @@ async def test_what_is_no_http_or_none_of_ours_is_answered_with_4xx_or_ended(tmp
         assert await status_now(bench) == 200
 
 
+async def test_a_request_of_two_lengths_ends_the_connection_with_what_is_hidden_behind_it(tmp_path):
+    """A proxy that goes by the other length would take the second for one of its own viewer's."""
+    hidden = b"GET /api/v1/health HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    length = f"Content-Length: {len(hidden) + 5}\r\n".encode()
+    head = b"GET /api/v1/names HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n"
+    async with monitor(tmp_path) as bench, asyncio.timeout(60):
+        reader, writer = await connected(bench.port)
+        writer.write(head + length + b"\r\n0\r\n\r\n" + hidden)
+        answer = await reader.read()
+        writer.close()
+        assert answer.startswith(b"HTTP/1.1 400") and answer.count(b"HTTP/1.1") == 1, answer
+        assert await status_now(bench) == 200
+
+
 @pytest.mark.parametrize("lines", [[b"x" * 20_000], [b"x"] * 4_000])
 async def test_a_head_that_is_too_long_is_refused_also_when_it_arrives_at_once(tmp_path, lines):
     async with monitor(tmp_path) as bench, asyncio.timeout(60):

@@ -87,6 +87,8 @@ class Gate:
     def _refused(self, scope: Scope) -> str:
         """Return why a request is none of ours, '' when it is."""
         headers = Headers(scope=scope)
+        if "content-length" in headers and "transfer-encoding" in headers:  # a proxy may have ended it elsewhere
+            raise ProblemError(400, "content-length and transfer-encoding contradict each other; send one", CLOSE)
         host, name = headers.get("host", ""), ""
         with suppress(ValueError):  # of half an IPv6 address, which is no name of ours
             name = urlsplit(f"//{host}").hostname or ""
