@@ -43,6 +43,8 @@ LOOK_AHEAD = 1.5
 """The guard accepts blocks this much longer than they are written for, polls included."""
 POSITIONING_S = 15.0
 """The simulated part programs stand at work positioning for longer than this [s]."""
+TOOL_MACRO = 149
+"""Where the builder of the simulated machine keeps the tool in the spindle; #4120 would be the latest T word."""
 SILENT_S = 60.0
 """The daemon may stand still so long, on a computer that sleeps or swaps [s of the wall clock]."""
 STOP_PATIENCE_S = 15.0
@@ -127,7 +129,8 @@ def _control(driver: str, directory: Path, *, secure: bool) -> dict[str, Any]:
         raise SimulationError(f"driver {driver} cannot encrypt: leave --secure out, or use --cnc opcua")
     if driver == "mtconnect":
         return {"driver": driver, driver: {"url": f"http://127.0.0.1:{free_port()}"}}
-    return {"driver": driver, driver: {"host": "127.0.0.1", "port": free_port()}}
+    tool = {"tool_macro": TOOL_MACRO} if driver == "focas" else {}
+    return {"driver": driver, driver: {"host": "127.0.0.1", "port": free_port()} | tool}
 
 
 def _keys(directory: Path) -> dict[str, str]:

@@ -1,11 +1,23 @@
 """The demonstration on a computer that is too slow for it: said, with a speed that it may keep."""
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from daemon.cli.simulate.demo import CNC_WIRES, demo_machine
 from daemon.simulation.demonstration import result, switch_on_again, too_slow
+from daemon.simulation.processes import write_simulation_configuration
+
+
+@pytest.mark.parametrize("driver", CNC_WIRES)
+def test_every_simulated_control_tells_the_tool_in_the_spindle(tmp_path: Path, driver: str) -> None:
+    """Its program names no tool: where the latest T word was all, the demonstration of a FANUC followed nothing."""
+    content = demo_machine()
+    assert content["compensation"]["axes"]["z"]["tool_term"]
+    _, configuration = write_simulation_configuration(content, tmp_path, speed=1.0, driver=driver)
+    assert not configuration.cnc.tells_prepared_tool
 
 
 @pytest.mark.parametrize(
