@@ -14,6 +14,7 @@ from models.dynamics.beam import Segment
 
 Responses = Annotated[list[Path], Field(min_length=1)]
 SAME_SHANK_MM = 0.05
+THINNEST_MM = 0.1
 
 
 class BlankResponses(Section):
@@ -60,6 +61,9 @@ class FlutedTool(Constants):
         if self.flute_length_mm > self.stickout_mm:
             sentence = f"{self.flute_length_mm:g} mm are longer than the tool stands out, {self.stickout_mm:g} mm"
             problems.append((("flute_length_mm",), sentence))
+        if (bends_mm := self.equivalent_ratio * self.diameter_mm) < THINNEST_MM:
+            sentence = f"bends like a cylinder of {bends_mm:.2g} mm, and a beam is computed from {THINNEST_MM:g} mm on"
+            problems.append((("diameter_mm",), sentence))
         if problems:
             raise KeyProblems(problems)
         return self

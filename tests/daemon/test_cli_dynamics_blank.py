@@ -98,6 +98,12 @@ REFUSED: dict[str, tuple[Change, str]] = {
         ),
         r"tools\.yaml:4:.*tools\.drill\.shank_mm: the blank was 16 mm thick",
     ),
+    "a needle": (
+        lambda at, _: (at / "tools.yaml").write_text(
+            TOOLS.replace("{diameter_mm: 16, flute_length_mm: 30", "{diameter_mm: 0.1, flute_length_mm: 30"), "utf-8"
+        ),
+        r"tools\.yaml:3:.*diameter_mm: bends like a cylinder of 0.08 mm, and a beam is computed from 0.1 mm on",
+    ),
     "longer flutes": (
         lambda at, _: (at / "tools.yaml").write_text(
             TOOLS.replace("flute_length_mm: 30", "flute_length_mm: 300"), "utf-8"

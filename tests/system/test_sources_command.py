@@ -130,6 +130,9 @@ def test_a_scan_that_finds_nothing_says_what_to_try(tmp_path: Path) -> None:
     assert nobody.exit_code == 1 and "127.0.0.1:1 cannot be reached" in nobody.output
     odd = runner.invoke(main, ["sources", "scan", "modbus", "127.0.0.1:1", "--units", "1-900"])
     assert odd.exit_code == 2 and "such as 1 or 1-16" in odd.output
+    for place in ("modbus 127.0.0.1:99999", "modbus 127.0.0.1:0", "mqtt 127.0.0.1:0", "modbus 127.0.0.1:²"):
+        beyond = runner.invoke(main, ["sources", "scan", *place.split()])
+        assert beyond.exit_code == 2 and "the port must be a number from 1 to 65535" in beyond.output
     with socket.create_server(("127.0.0.1", 0)) as mute:
         deaf = runner.invoke(main, ["sources", "scan", "modbus", f"127.0.0.1:{mute.getsockname()[1]}"])
     assert deaf.exit_code == 1 and "looks like a temperature" not in deaf.output, "nothing was read"

@@ -33,7 +33,10 @@ Found = list[tuple[dict[str, Any], str]]
 def units(text: str) -> range:
     """Return the units of a text such as 1-16."""
     first, _, last = text.partition("-")
-    if not first.isdigit() or not (last or first).isdigit() or not 0 <= int(first) <= int(last or first) <= 247:
+    if (
+        not (text.isascii() and first.isdigit() and (last or first).isdigit())
+        or not 0 <= int(first) <= int(last or first) <= 247
+    ):
         raise click.BadParameter("give a unit or a range of them, such as 1 or 1-16, at most 247")
     return range(int(first), int(last or first) + 1)
 
@@ -90,8 +93,8 @@ def scan(
 
 def _host_and_port(place: str, usual: int) -> tuple[str, int]:
     host, _, port = place.partition(":")
-    if port and not port.isdigit():
-        raise click.BadParameter(f"{place}: the port must be a number")
+    if port and not (port.isascii() and port.isdigit() and 1 <= int(port) <= 65535):
+        raise click.BadParameter(f"{place}: the port must be a number from 1 to 65535")
     return host, int(port or usual)
 
 
