@@ -118,6 +118,15 @@ def test_no_text_is_taken_for_an_account_that_it_does_not_hold(tmp_path_factory,
     assert all(each.password_hash.startswith("$argon2id$") for each in accounts.values())
 
 
+def test_a_byte_order_mark_before_a_password_is_none_of_it(tmp_path):
+    """An editor of Windows puts it there, and nobody could log in with the password that is seen."""
+    path, file = tmp_path / "users", tmp_path / "password"
+    added(path, "anna")
+    file.write_bytes(b"\xef\xbb\xbf" + b"another long one\r\n")
+    assert users("password", "anna", "--password-file", file, "--file", path).exit_code == 0
+    assert verified(read_accounts(path)["anna"].password_hash, "another long one")
+
+
 def test_a_password_that_is_no_text_is_refused_with_a_sentence(tmp_path):
     path = tmp_path / "users"
     added(path, "anna")

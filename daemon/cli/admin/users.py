@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 file_option = option("--file", "file", type=FILE, help="File of the accounts; without: service.users.")
 password_option = click.option(
     "--password-file",
-    type=click.File("r", encoding="utf-8"),
+    type=click.File("r", encoding="utf-8-sig"),
     help="Take the password from the first line of a file, '-' for standard input; without: ask for it.",
 )
 
