@@ -167,6 +167,15 @@ def test_a_recording_of_numbered_sensors_is_told_how_they_get_labels(tmp_path: P
     assert "no sensor carries the label A, F, IR, Room" in result.stderr and "--config names" in result.stderr
 
 
+def test_after_a_gap_results_are_as_far_apart_as_before(tmp_path: Path) -> None:
+    """What had been due in the gap came after it, row by row."""
+    recording = tmp_path / "day.csv"
+    rows = [f"{60 * minute},20,20,20,20" for minute in (*range(7), *range(30, 40))]
+    recording.write_text("\n".join(["t,IR,A,F,Room", *rows]) + "\n")
+    found = answer("track", recording, "--spindle", "tool_warm_y", "--axis", "y", "--every-min", 3)
+    assert found["time_min"] == [0, 3, 6, 30, 33, 36, 39]
+
+
 def test_what_is_followed_over_a_recording_is_the_peak_on_the_bearings_of_its_temperatures(tmp_path: Path) -> None:
     recording = tmp_path / "day.csv"
     rows = [f"{60 * minute},20,20,20,20" for minute in range(15)]

@@ -82,7 +82,7 @@ def track_recording(
         if minute < due_min:
             tracker.observe(60.0 * minute, row[columns])
             continue
-        due_min += every_min
+        due_min += every_min * (1.0 + (minute - due_min) // every_min)
         dynamics = tracker.renew_from(60.0 * minute, row[columns])
         progress("tool point", index, len(temperatures.time_min))
         if dynamics is not None:
