@@ -55,13 +55,15 @@ def read_index(folder: Path) -> tuple[IndexedImpact, ...]:
         raise ImpactIndexError(f"{path}: is not CSV ({error})") from error
     if tuple(names) != HEADER:
         raise ImpactIndexError(f"{path}:1: the header must be {','.join(HEADER)}")
-    found = [_impact(path, number, row) for number, row in enumerate(rows, start=2) if any(map(str.strip, row))]
+    found = [
+        _impact(path, number, row, delimiter) for number, row in enumerate(rows, start=2) if any(map(str.strip, row))
+    ]
     if not found:
         raise ImpactIndexError(f"{path}: names no response")
     return tuple(sorted(found, key=lambda each: each.time))
 
 
-def _impact(path: Path, line: int, row: list[str]) -> IndexedImpact:
+def _impact(path: Path, line: int, row: list[str], delimiter: str) -> IndexedImpact:
     if len(row) != len(HEADER):
         raise ImpactIndexError(f"{path}:{line}: has {len(row)} fields where the header has {len(HEADER)}")
     name, axis, time = (field.strip() for field in row)
@@ -71,7 +73,9 @@ def _impact(path: Path, line: int, row: list[str]) -> IndexedImpact:
     if not name or not measured.is_file():
         raise ImpactIndexError(f"{path}:{line}: column file: there is no file {str(measured)!r}")
     try:
-        return IndexedImpact(path=measured, axis=axis.lower(), time=parse_time(time))
+        return IndexedImpact(
+            path=measured, axis=axis.lower(), time=parse_time(time if delimiter == "," else time.replace(",", "."))
+        )
     except ValueError:
         raise ImpactIndexError(
             f"{path}:{line}: column time: {time!r} is neither a number nor date and time as ISO 8601"

@@ -11,6 +11,7 @@ from dynamics_command import call
 from config.machine.spindle import load_spindle
 from config.machines import shipped_file
 from daemon.workbench.dynamics.campaign import read_temperatures
+from drivers.files.impact_index import read_index
 from models.thermomechanics.artifact import model_from_json
 
 
@@ -121,6 +122,12 @@ def fitted(simulated: Path) -> Path:
     )  # fmt: skip
     assert result.exit_code == 0, result.stderr
     return model
+
+
+def test_an_index_with_semicolons_may_have_decimal_commas(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").touch()
+    (tmp_path / "impacts.csv").write_text("file;axis;time\nx.csv;x;7,5\n", encoding="utf-8")
+    assert [each.time for each in read_index(tmp_path)] == [7.5]
 
 
 @pytest.mark.parametrize(
