@@ -52,8 +52,6 @@ MISSING = frozenset({"", "nan", "NaN", "NAN", "NA"})
 HOUR_S = 3600.0
 LONGEST_STEP_S = 27 * 24 * HOUR_S
 """A run goes on for hours; a day that is read as a month is farther off [s]."""
-FIRST_ROW = 2
-"""Line of the row after the header, where nothing stands before it."""
 LARGEST = 1e9
 """No sensor says more, in whatever unit; what stands for a missing value may."""
 _WITH_THOUSANDS = re.compile(r"[+-]?\d{1,3}(['\u2019\s]\d{3})+([.,]\d*)?")
@@ -200,7 +198,7 @@ def _rows(place: Place, lines: Iterator[str], form: _Form) -> tuple[FloatArray, 
                 f"has {len(fields)} fields where the header has {len(header)}; is the row cut off or the "
                 "decimal mark a comma?"
             )
-        times.append(_time(place, form, fields, read_time))
+        times.append(_time(place, form, fields, read_time, first=not times))
         if len(times) > 1 and times[-1] <= times[-2]:
             text = fields[columns.time].strip()
             sentence = _disorder(times, local=form.recording_map.local_times)
@@ -238,7 +236,7 @@ def _disorder(times: list[float], *, local: bool) -> str:
     return "sort the rows, and split the file where the logger was restarted"
 
 
-def _time(place: Place, form: _Form, fields: list[str], read_time: TimeReader) -> float:
+def _time(place: Place, form: _Form, fields: list[str], read_time: TimeReader, *, first: bool) -> float:
     columns = form.columns
     texts = [fields[columns.time].strip()] if columns.date is None else [fields[columns.date].strip()]
     texts += [] if columns.date is None else [fields[columns.time].strip()]
@@ -255,11 +253,7 @@ def _time(place: Place, form: _Form, fields: list[str], read_time: TimeReader) -
             raise place.refuse("the names of the columns come again; split the file where the logger was restarted")
         wanted = form.recording_map.time_format
         sentence = "in the unit that the map gives" if wanted is None else f"of the form {wanted} that the map gives"
-        if (
-            place.line == FIRST_ROW
-            and not form.recording_map.unit_row
-            and not any(is_number(text.replace(",", ".")) for text in fields)
-        ):
+        if first and not form.recording_map.unit_row and not any(is_number(text.replace(",", ".")) for text in fields):
             sentence += "; where this row holds units, say unit_row: true in the map"
         raise place.refuse(f"{text!r} is not a time {sentence}", column)
     return time_s

@@ -164,6 +164,8 @@ def test_what_is_refused_names_the_line_and_the_key_of_the_map_that_helps(tmp_pa
     units = ";".join(["[d]", "[h]", "[1/min]", *4 * ["[°C]"], "[µm]"])
     said = refusal(tmp_path, "\n".join([head, units, first, *rows]) + "\n")
     assert "tag.csv:2: " in said and "unit_row: true" in said
+    said = refusal(tmp_path, "\n".join(["# machine: mill-3", head, "", units, first, *rows]) + "\n")
+    assert "tag.csv:4: " in said and "unit_row: true" in said
     for pattern in (NAMES[0], "Temp*C*"):  # the second one matches the garbled names as well
         said = refusal(tmp_path, text, MAP.replace("Temp*°C*", pattern) + "encoding: cp1252\n")
         assert "the file seems to be UTF-8 (" in said and NAMES[0] in said and "encoding: utf-8" in said
