@@ -227,6 +227,9 @@ def test_an_frf_in_another_unit_is_refused(case: Path) -> None:
     assert "x.csv:5: column frequency_hz: 'nonsense' is no finite number" in refusal("lobes", path)
     frf.write_text("\n".join(rows[:3]) + "\n")
     assert "holds 2 frequencies" in refusal("lobes", path)
+    frf.write_text("\n".join([rows[0], *rows[1::300]]) + "\n")
+    sampled = refusal("lobes", path, "--method", "sdm")
+    assert f"{frf}: an FRF of 10 frequencies is too short for a modal fit" in sampled, "a case has up to four files"
 
 
 def test_lobes_over_temperature_with_the_commanded_speed(case: Path) -> None:

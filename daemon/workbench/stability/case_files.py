@@ -153,8 +153,11 @@ def modal_response_of(case: StabilityCase, from_rpm: float, to_rpm: float) -> tu
             modes[name] = _modes(direction)
             continue
         samples = read_direction(case, name, direction)
-        warnings += check_lines(samples.frequency_hz, case.teeth, from_rpm, to_rpm)
-        fit = fit_modes(samples.frequency_hz, samples.receptance_m_per_n)
+        try:
+            warnings += check_lines(samples.frequency_hz, case.teeth, from_rpm, to_rpm)
+            fit = fit_modes(samples.frequency_hz, samples.receptance_m_per_n)
+        except StabilityError as error:
+            raise StabilityError(f"{direction.frf}: {error}") from None
         modes[name] = fit.modes
         warnings += tuple(f"{direction.frf}: {warning}" for warning in fit.warnings)
     return modal_response(modes), tuple(dict.fromkeys(warnings))
