@@ -18,7 +18,7 @@ import numpy as np
 from models.dynamics.assembly import SpindleAssembly
 from models.dynamics.beam import ComplexArray, Segment, Span, close
 from models.dynamics.chain import Chain, Part, chain_span, divide
-from models.dynamics.modes import natural_frequencies
+from models.dynamics.modes import natural_frequencies, rigid_body_modes
 from models.records import FloatArray
 
 
@@ -31,16 +31,21 @@ def spinning(chain: Chain, spin_rad_s: float) -> Chain:
 def whirl_frequencies(chain: Chain, speed_rpm: float, count: int) -> tuple[FloatArray, FloatArray]:
     """Return the lowest natural frequencies [Hz] of the whirls against and with the rotation, shapes (count,).
 
-    Raises ValueError when nothing holds the chain (its slow precessions are no modes), or with `published` inertia.
+    Of both as many as each has below the end of the search. Raises ValueError when the chain can drift or tilt without
+    being held (its slow precessions are no modes), or with `published` inertia.
 
     `chain`: the chain on its bearings, which are taken to be alike in both axes. `speed_rpm`: speed of the shaft
     [1/min]. `count`: how many of each.
     """
-    if not any(support.properties.kt_n_per_m > 0.0 for support in chain.supports):
-        raise ValueError("a free shaft that turns has precessions, no whirls; it needs bearings")
+    if rigid_body_modes(chain):
+        raise ValueError(
+            "a shaft that turns and drifts or tilts freely has precessions, no whirls; it needs bearings at two "
+            "places, or one with a rotational stiffness"
+        )
     spin = speed_rpm * math.pi / 30.0
     against, along = (natural_frequencies(spinning(chain, sense * spin), count) for sense in (-1.0, 1.0))
-    return against, along
+    both = min(len(against), len(along))
+    return against[:both], along[:both]
 
 
 def rotating_receptance(

@@ -65,6 +65,18 @@ def test_whirls_of_a_pinned_shaft(pinned: Chain, speed_rpm: float) -> None:
         assert np.all(along > against)
 
 
+def test_a_shaft_that_tilts_freely_has_no_whirls(pinned: Chain) -> None:
+    """On one bearing without rotational stiffness its precession was told as the first whirl with the rotation."""
+    for supports in ((), pinned.supports[:1]):
+        with pytest.raises(ValueError, match="precessions, no whirls"):
+            whirl_frequencies(replace(pinned, supports=supports), 12_000.0, 3)
+
+
+def test_where_the_search_ends_both_whirls_are_as_many(pinned: Chain) -> None:
+    """Two lists of different lengths ended the command in a traceback."""
+    assert len({len(each) for each in whirl_frequencies(pinned, 400_000.0, 200)}) == 1
+
+
 def test_a_shaft_that_stands_responds_as_each_axis(spindle: SpindleAssembly) -> None:
     stiffer = with_stiffer_bearings(spindle, 1.3)
     found = rotating_receptance(spindle, stiffer, 1e-9, FREQUENCY_HZ)
