@@ -35,10 +35,14 @@ class ReleaseRepository:
         self.model_file = model_file
         self.releases = model_file.parent / releases
 
+    def folders(self) -> list[Path]:
+        """Return the folder of every release, the oldest first; a copy that a person has made beside them is none."""
+        return sorted(folder for folder in self.releases.glob("[0-9]*") if folder.name.isdecimal())
+
     def records(self) -> list[ReleaseRecord]:
         """Return every release that can be read, the oldest first."""
         found = []
-        for folder in sorted(self.releases.glob("[0-9]*")):
+        for folder in self.folders():
             try:
                 found.append(load_release_record(folder / RECORD_NAME))
             except ReleaseRecordError:
@@ -95,7 +99,7 @@ class ReleaseRepository:
             os.close(descriptor)
 
     def next_number(self) -> int:
-        return max((int(folder.name) for folder in self.releases.glob("[0-9]*")), default=0) + 1
+        return max((int(folder.name) for folder in self.folders()), default=0) + 1
 
     def add(self, record: ReleaseRecord, content: bytes, key: SigningKey | None = None) -> None:
         """Put a release into the folder, signed where there is a key, and make it the active one."""

@@ -59,7 +59,7 @@ def _releases(configuration: Configuration) -> Iterator[tuple[Path, Purpose, byt
     if configuration.spindle_speed is not None:
         repositories.append(bearing_repository(configuration))
     for repository in repositories:
-        for folder in sorted(repository.releases.glob("[0-9]*")):
+        for folder in repository.folders():
             path = folder / RECORD_NAME
             try:
                 record, content = read_release_record(path)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -157,6 +158,15 @@ def test_releases_follow_each_other_and_lead_back(folder):
         rollback(configuration, person="ben", to=1)
     with pytest.raises(ReleaseError, match=r"no release 77 in .*; there are: 1, 2, 3, 4, 5$"):
         rollback(configuration, person="ben", to=77)
+
+
+def test_a_copy_of_a_release_that_a_person_has_put_beside_it_is_none(folder):
+    configuration = configured(folder)
+    first = release(configuration, proposal(folder, model("ridge-1")), person="anna")
+    shelf = repository_of(configuration)
+    shutil.copytree(shelf.releases / f"{first.number:04d}", shelf.releases / "0001.bak")
+    assert release(configuration, proposal(folder, model("ridge-2")), person="anna").number == 2
+    assert [record.number for record in shelf.records()] == [1, 2]
 
 
 def test_going_back_again_goes_further_back_and_never_to_what_was_gone_back_from(folder):
