@@ -38,6 +38,8 @@ class TemperatureHistory:
             return None
         end_s = self._rows[-1][0] - 60.0 * ago_min
         rows = [degc for time_s, degc in self._rows if end_s - MEAN_S < time_s <= end_s + 1e-6]
+        # of readings a minute or more apart one may come just after its moment
+        rows = rows or [degc for time_s, degc in self._rows if end_s < time_s <= end_s + MEAN_S / 2.0]
         if not rows:
             return None
         table = np.array(rows)

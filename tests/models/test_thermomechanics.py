@@ -117,6 +117,17 @@ def test_means_now_and_ten_minutes_ago() -> None:
     assert history.mean_degc(15.0) is None
 
 
+@pytest.mark.parametrize("period_s", [60.0, 300.0])
+def test_what_was_read_ten_minutes_ago_is_known_though_no_reading_comes_to_the_moment(period_s: float) -> None:
+    history, rng = TemperatureHistory((10.0,)), np.random.default_rng(0)
+    for k in range(60):
+        history.add(period_s * k + rng.uniform(0.0, 0.5), np.array([k * period_s / 60.0]))
+        if k * period_s > 900.0:
+            now, then = history.mean_degc(), history.mean_degc(10.0)
+            assert now is not None and then is not None, k
+            assert now[0] - then[0] == pytest.approx(10.0, abs=1.0)
+
+
 # Fit
 
 
