@@ -164,7 +164,7 @@ class LinearEstimator:
         if state.watch is not None:
             without[list(state.watch.excluded)] = True
         lagged = self.left_out.started_lags(self.features(state), returned, np.flatnonzero(without).tolist())
-        return replace(state, lagged=lagged)
+        return replace(state, lagged=lagged, known_lagged=np.where(returned, lagged, state.known_lagged))
 
     def _lags(
         self, state: ModelState, elapsed_min: float, degc: FloatArray, speed_rpm: float

@@ -365,6 +365,24 @@ def test_a_lost_sensor_is_left_out_until_the_next_reference(recording: Recording
     assert excluded_sensors(readmitted(late, (2,)), late) == ()
 
 
+def test_lags_of_a_sensor_that_was_heard_for_one_row_go_on_from_where_they_were_begun(
+    recording: Recording, model: LinearModel
+) -> None:
+    """Not from the middle of training, where one stands that was never heard."""
+    estimator, samples = LinearEstimator(model), history(recording)
+    states = []
+    for heard in ([], [100, *range(105, 110)]):
+        rows = [
+            (t, degc if t in heard or not heard else np.where(np.arange(SENSORS) == 2, np.nan, degc), rpm)
+            for t, degc, rpm in samples[:110]
+        ]
+        state = estimator.rebuild(rows, bridged=True)
+        assert state is not None
+        states.append(state)
+    whole, once = states
+    np.testing.assert_allclose(once.lagged[:, 2], whole.lagged[:, 2], atol=0.3)
+
+
 def test_far_from_training_confidence_fades(recording: Recording, model: LinearModel) -> None:
     estimator = LinearEstimator(model)
     degc = recording.temperatures_degc[0]
