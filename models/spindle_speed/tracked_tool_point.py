@@ -9,7 +9,13 @@ from models.spindle_speed.tool_point import EstimatedToolPoint
 from models.stability.response import ComplexArray, SampledResponse
 from models.thermomechanics.history import SignalMeans, TemperatureHistory
 from models.thermomechanics.resonance import peaks
-from models.thermomechanics.tool_point import ENDS_STAND_HZ, AxisDynamics, ToolPointDynamics, ToolPointTracker
+from models.thermomechanics.tool_point import (
+    ENDS_STAND_HZ,
+    AxisDynamics,
+    RangeEnds,
+    ToolPointDynamics,
+    ToolPointTracker,
+)
 
 AXES = ("x", "y")
 FAR_HZ = 20.0
@@ -37,7 +43,9 @@ class TrackedToolPoint:
         self._history = TemperatureHistory(tracker.model.intervals_min)
         self.known: EstimatedToolPoint | None = None
         """The latest answer of `renew`."""
-        self._ends: tuple[dict[str, float], tuple[str, ...], tuple[EstimatedToolPoint | None, ...]] = ({}, (), ())
+        self._ends: tuple[
+            dict[str, float], tuple[tuple[RangeEnds, ...], ...], tuple[EstimatedToolPoint | None, ...]
+        ] = ({}, (), ())
 
     def renew(self, time_s: float, degc: FloatArray) -> EstimatedToolPoint | None:
         """Return the dynamics at a reading of all sensors [degC], shape (n,); None before every sensor had a value.
@@ -116,18 +124,18 @@ class TrackedToolPoint:
         return EstimatedToolPoint(response=_response(frequency_hz, receptances), resonance_hz=resonance_hz)
 
     def _flagged_ends(self, dynamics: ToolPointDynamics) -> tuple[EstimatedToolPoint | None, ...]:
-        """Return the responses at the ends; the same objects as long as neither resonances nor flags have changed."""
-        flags = tuple(f"{axis}.{name}" for axis, each in dynamics.axes.items() for name in each.flagged)
-        resonance_hz, flagged, kept = self._ends
+        """Return the responses at the ends; the same objects as long as neither resonances nor ends have changed."""
+        ends = tuple(each.range_ends for each in dynamics.axes.values())
+        resonance_hz, before, kept = self._ends
         moved = any(
             abs(now - resonance_hz.get(axis, np.inf)) > ENDS_STAND_HZ for axis, now in dynamics.resonance_hz.items()
         )
-        if flags == flagged and not moved:
+        if ends == before and not moved:
             return kept
         found = tuple(
             response for axis, each in dynamics.axes.items() for response in self._ends_of(dynamics, axis, each)
         )
-        self._ends = (dynamics.resonance_hz, flags, found)
+        self._ends = (dynamics.resonance_hz, ends, found)
         return found
 
     def _ends_of(self, dynamics: ToolPointDynamics, axis: str, each: AxisDynamics) -> list[EstimatedToolPoint | None]:

@@ -197,7 +197,7 @@ class AxisTracker:
             )
             for each in flagged
         )
-        self._ends = (now_hz, found)
+        self._ends = (now_hz if now.continuous else np.inf, found)
         return found
 
 

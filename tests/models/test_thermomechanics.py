@@ -1,5 +1,7 @@
 """Bearings from temperatures, the history they need, the fit, the file, and the resonance that is followed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -275,6 +277,11 @@ def test_a_flagged_property_is_taken_to_both_ends_of_its_range() -> None:
     values = {each.name: each.value for each in found.properties}
     at_low = tracker.receptance({**FIXED[5], **values, "kt_5": bounds.lowest})
     assert min(abs(peak.frequency_hz - ends.at_lowest_hz) for peak in peaks(FREQUENCY_HZ, at_low)) < 1.0
+    tracker._follower._resonance = replace(found.resonance, continuous=False)
+    tracker._ends = (np.inf, ())
+    assert tracker._range_ends([found.properties[-1]], values)[0].at_lowest_hz is None, "of a lost mode none is known"
+    again = tracker.renew(np.full(4, 26.0), {10.0: np.zeros(4)})
+    assert again.resonance.continuous and again.range_ends == found.range_ends
 
 
 @pytest.mark.parametrize(
