@@ -283,4 +283,4 @@ def _follow_model(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
         more = model_shift_um(memory) + inputs.follows[1]
         goes_on = np.where(np.isfinite(more), more, goes_on)
     shift = np.where(begins, goes_on, shift)
-    return replace(with_model(memory), model_id=inputs.model_id, model_shift_um=shift)
+    return replace(with_model(memory, begins | another), model_id=inputs.model_id, model_shift_um=shift)

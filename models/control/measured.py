@@ -8,6 +8,7 @@ from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
+import numpy.typing as npt
 
 from models.control.state import (
     UNKNOWN_UM,
@@ -104,16 +105,16 @@ def with_probed(memory: OutputMemory, inputs: OutputInputs, probed: FloatArray) 
     return replace(memory, tools=MappingProxyType(tools), counted_found_um=np.where(axes, now_um, unset))
 
 
-def with_model(memory: OutputMemory) -> OutputMemory:
-    """Return the memory after a change of model, which goes on from the latest estimate of the one before.
+def with_model(memory: OutputMemory, axes: npt.NDArray[np.bool_]) -> OutputMemory:
+    """Return the memory after a change of model, which goes on on these axes from the latest estimate of before.
 
-    Where that was not trusted, or there was none since a restart, everything that is counted from is in doubt.
+    Where that was not trusted, or there was none since a restart, everything that they count from is in doubt.
     """
     before, unsure_um = memory.counted_found_um, UNKNOWN_UM if memory.error_um is None else memory.unsure_um
-    unsure_um = unsure_um if unsure_um > UNSURE_UM else 0.0
+    at_risk_um = np.where(axes, unsure_um if unsure_um > UNSURE_UM else 0.0, 0.0)
     unset = np.full_like(memory.command_um, np.nan) if before is None else before
-    counted_um = np.fmin(unset, memory.found_wrong_um - unsure_um)
-    tools = {n: replace(t, found_wrong_um=t.found(memory.command_um) - unsure_um) for n, t in memory.tools.items()}
+    counted_um = np.where(axes, np.fmin(unset, memory.found_wrong_um - at_risk_um), unset)
+    tools = {n: replace(t, found_wrong_um=t.found(memory.command_um) - at_risk_um) for n, t in memory.tools.items()}
     return replace(memory, tools=MappingProxyType(tools), counted_found_um=counted_um)
 
 

@@ -3,6 +3,7 @@
 import copy
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from output_machine import LIMITS, Machine
@@ -73,6 +74,16 @@ def test_a_model_without_an_estimate_for_an_axis_waits_there():
     np.testing.assert_allclose(machine.applied, [3.0, 20.0], atol=0.02)
     machine.set(thermal_error_um=np.array([7.0, -30.0])).step(60)
     np.testing.assert_allclose(machine.applied, [3.0, 20.0], atol=0.02)
+
+
+def test_an_axis_that_begins_late_while_a_return_fades_leaves_the_others_out_of_doubt():
+    machine = Machine().following()
+    machine.step(tool_setting=(False, True))
+    machine.set(model_id="m2", thermal_error_um=np.array([np.nan, -20.0])).step(5)
+    assert machine.memory.counted_found_um == pytest.approx([0.0, 0.0])
+    machine.set(fading_um=4.0).step(2).set(thermal_error_um=np.array([-3.0, -20.0])).step(2)
+    assert machine.memory.counted_found_um == pytest.approx([-4.0, 0.0])
+    assert machine.step(request=OperatorRequest(disable=frozenset({"y"}))).step(5).memory.state is OutputState.ACTIVE
 
 
 def test_on_a_machine_with_an_axis_without_a_model_a_moment_of_doubt_after_a_release_holds_no_longer_than_it_lasts():
