@@ -15,7 +15,7 @@ from config.schema import Configuration
 from daemon.cnc.audited_write import AuditedWriter
 from daemon.cnc.events import Journal
 from daemon.cnc.interlocks import Interlocks
-from daemon.cnc.limits import also_polled, commissioned_factors, echo_slack_um, output_limits
+from daemon.cnc.limits import CommissionedFactors, also_polled, echo_slack_um, output_limits
 from daemon.cnc.macro_block import MacroBlock
 from daemon.cnc.session import CncLink, CncSession
 from daemon.cnc.write_ahead import WriteAheadRecord
@@ -160,7 +160,7 @@ class Daemon:
         model, inhibit = self._loaded.model, self._loaded.inhibit
         record, refused = load_record(configuration)
         axes = tuple(configuration.compensation.axes)
-        factors, slack_um = commissioned_factors(record, axes), echo_slack_um(configuration)
+        factors, slack_um = CommissionedFactors(record, axes), echo_slack_um(configuration)
         self._block = MacroBlock(
             configuration.cnc.macros,
             axes,

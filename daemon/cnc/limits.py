@@ -31,8 +31,9 @@ PAUSE_REAL_S = 0.5
 class CommissionedFactors(dict[str, float]):
     """Movement per macro value by axis: sign times scale, as the record takes them to be."""
 
-    def __init__(self, record: CommissioningRecord, axes: Sequence[str]) -> None:
-        proved = {axis: record.axes[axis] for axis in axes if axis in record.axes}
+    def __init__(self, record: CommissioningRecord | None, axes: Sequence[str]) -> None:
+        of_axes = {} if record is None else record.axes
+        proved = {axis: of_axes[axis] for axis in axes if axis in of_axes}
         super().__init__({axis: found.sign * found.scale for axis, found in proved.items()})
         self.excess = {
             axis: max(1.0, abs(found.measured_um / found.written_um) / found.scale) for axis, found in proved.items()
@@ -81,13 +82,6 @@ def _tool_term(term: ToolTermConfig | None) -> ToolTerm | None:
         return None
     kept = term.model_dump(include={"length_mm", "expansion_um_per_m_k", "direction"})
     return ToolTerm(label_weights=term.temperatures, **kept)
-
-
-def commissioned_factors(record: CommissioningRecord | None, axes: Sequence[str]) -> dict[str, float]:
-    """Return movement per macro value for each commissioned axis: its sign times its scale."""
-    if record is None:
-        return {}
-    return CommissionedFactors(record, axes)
 
 
 def echo_slack_um(configuration: Configuration) -> float:

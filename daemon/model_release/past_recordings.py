@@ -13,7 +13,7 @@ import numpy as np
 
 from config.records.commissioning import load_commissioning
 from config.schema import Configuration
-from daemon.cnc.limits import commissioned_factors
+from daemon.cnc.limits import CommissionedFactors
 from daemon.history.reader import HistoryReader
 from daemon.history.series import CncHistory
 from daemon.state_store.documents import ControlRead, SensorLevelsDocument
@@ -153,7 +153,7 @@ def commissioned_um_per_unit(configuration: Configuration) -> dict[str, float] |
     record_path = configuration.compensation.commissioning_file
     if record_path is None or not record_path.is_file():
         return None
-    factors = commissioned_factors(load_commissioning(record_path), axes)
+    factors = CommissionedFactors(load_commissioning(record_path), axes)
     return {axis: configuration.cnc.macros.unit_um * factors.get(axis, 1.0) for axis in axes}
 
 

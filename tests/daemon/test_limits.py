@@ -8,7 +8,7 @@ from control_rig import machine, record_for
 from config.records.commissioning import CommissionedAxis
 from config.schema.cnc import RequestMacrosConfig
 from config.schema.spindle_speed import SpindleSpeedConfig
-from daemon.cnc.limits import commissioned_factors, guard_programs, output_limits
+from daemon.cnc.limits import CommissionedFactors, guard_programs, output_limits
 from drivers.guard.programs import guard_program
 
 
@@ -39,7 +39,7 @@ def test_what_was_measured_to_move_stays_within_the_configured_limits(
     sign = 1 if measured_um > 0 else -1
     proved = CommissionedAxis(sign=sign, scale=scale, written_um=10.0, measured_um=measured_um)
     record = record_for(configuration, axes={"z": proved})
-    factors = commissioned_factors(record, ("x", "y", "z"))
+    factors = CommissionedFactors(record, ("x", "y", "z"))
     assert factors == {"z": sign * scale}
     plain, found = output_limits(configuration), output_limits(configuration, factors)
     assert found.absolute_bound_um == pytest.approx([30.0, 30.0, bound_um])

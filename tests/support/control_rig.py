@@ -20,7 +20,7 @@ from daemon.app import load_record
 from daemon.cnc.audited_write import AuditedWriter
 from daemon.cnc.events import Journal
 from daemon.cnc.interlocks import Interlocks
-from daemon.cnc.limits import also_polled, commissioned_factors, output_limits
+from daemon.cnc.limits import CommissionedFactors, also_polled, output_limits
 from daemon.cnc.macro_block import MacroBlock
 from daemon.cnc.session import CncLink, CncSession
 from daemon.cnc.write_ahead import WriteAheadRecord
@@ -164,7 +164,7 @@ class Rig:
         self.block = MacroBlock(
             configuration.cnc.macros,
             axes,
-            commissioned_factors(record, axes),
+            CommissionedFactors(record, axes),
             guard=configuration.cnc.guard,
             also_polled=also_polled(configuration),
             pivots_mm=configuration.compensation.pivots_mm,
@@ -186,7 +186,7 @@ class Rig:
                 telemetry=self.telemetry,
                 journal=journal,
                 interlocks=self.interlocks,
-                limits=output_limits(configuration, commissioned_factors(record, axes)),
+                limits=output_limits(configuration, CommissionedFactors(record, axes)),
                 resume=self.resume,
                 um_per_unit=self.block.um_per_unit,
                 model_id=model_id,
