@@ -4,10 +4,10 @@ Whoever else changes the register moves the work's zero while an offset is compe
 control holds what was compensated when it was made. So a change ends the reference, as another work offset does.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from config.schema import Configuration
-from daemon.state_store.documents import OwnOffsets
+from daemon.state_store.documents import UNREADABLE, OwnOffsets
 from daemon.state_store.store import StateStore
 from drivers.contract import Cnc
 from models.units import um_from_mm
@@ -49,7 +49,9 @@ class OwnOffsetWatch:
         """Return who was moved by how much since the last poll, '' when nobody; reads once more before it says so."""
         if not self._changes(self._own_mm(found)):
             return ""
-        own_mm = self._own_mm(await cnc.read_macros(self._numbers))
+        echoes = (self._echo[axis] for axis in self._registers)
+        read = UNIT_CODE, self._guard.memory, *self._registers.values(), *echoes
+        own_mm = self._own_mm(await cnc.read_macros(read))
         if not (changes := self._changes(own_mm)):  # the guard had been at it
             return ""
         words = [
@@ -57,13 +59,12 @@ class OwnOffsetWatch:
             for axis in changes
             if axis in self._known
         ]
-        self._known |= own_mm
+        lost = UNREADABLE in self._known
+        self._known = own_mm if lost else self._known | own_mm
         self._store.put(OwnOffsets(mm=dict(self._known)))
+        if lost:
+            return "what the external offset was cannot be read from the store, so it may have been changed meanwhile"
         return f"the external offset was changed beside the guard, {', '.join(words)}" if words else ""
-
-    @property
-    def _numbers(self) -> Sequence[int]:
-        return UNIT_CODE, self._guard.memory, *self._registers.values(), *(self._echo[axis] for axis in self._registers)
 
     def _own_mm(self, found: Mapping[int, float | None]) -> dict[str, float]:
         """Return register minus what is applied, by axis [mm]; nothing in inches, and while the guard changes it."""

@@ -37,12 +37,16 @@ class OutputFault:
     number: int = 0
 
 
+UNREADABLE = ""
+"""Name of no axis."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OwnOffsets:
     """The operator's own part of the external offset."""
 
     mm: Mapping[str, float]
-    """By axis [mm]."""
+    """By axis [mm]; `UNREADABLE` stands among them where the store has lost what they were."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

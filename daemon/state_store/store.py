@@ -17,6 +17,7 @@ import structlog
 from daemon.history.intake import Commit
 from daemon.history.writer import HistoryWriter
 from daemon.state_store.documents import (
+    UNREADABLE,
     CalendarOfBoot,
     ControlRead,
     DaemonAlive,
@@ -238,6 +239,8 @@ def _denying(kind: type[Document], problem: str) -> Any:
     if kind is OutputFault:
         why = "whether a FAULT was latched cannot be read from the store"
         return OutputFault(reasons=(f"{why} ({problem}): compare the macro variables with the machine",))
+    if kind is OwnOffsets:
+        return OwnOffsets(mm={UNREADABLE: math.nan})
     if kind is SpindleSpeedSwitch:
         return SpindleSpeedSwitch(off_by="a start that could not read who had switched it off")
     if kind is SensorLevelsDocument:  # the history may hold what a sensor said while it was wrong: none of it counts

@@ -8,6 +8,8 @@ from pydantic import ValidationError
 
 from config.schema.cnc import CncConfig
 from config.schema.guard import GuardConfig
+from daemon.state_store.documents import OwnOffsets
+from daemon.state_store.store import KEYS
 
 
 def watching(directory: Path) -> Bench:
@@ -59,6 +61,32 @@ async def test_it_is_noticed_when_the_link_or_the_daemon_is_back(tmp_path: Path)
         await rig.turn()
         assert rig.control.reference is None
         await holds(rig, bench)
+
+
+async def test_a_store_that_has_lost_what_it_was_ends_the_reference(tmp_path: Path) -> None:
+    """Whether somebody has changed it meanwhile nobody knows."""
+    bench = watching(tmp_path)
+    compensation = bench.configuration.compensation
+    dwell = compensation.reference.model_copy(update={"positioning_dwell_s": 60.0})
+    compensation = compensation.model_copy(update={"reference": dwell})
+    bench.configuration = bench.configuration.model_copy(update={"compensation": compensation})
+    async with running(bench.rig()) as rig:
+        backup = await followed(rig, bench)
+        await rig.history.flushed()
+        kept = rig.history.get_state(KEYS[OwnOffsets])
+        rig.history.put_state(KEYS[OwnOffsets], kept | {"mm": {"y": 0.125, "z": 0.125}})
+        rig.alive()
+    bench.nc.guard.control.external_mm[:] = backup
+    async with running(bench.rig()) as rig:
+        await rig.turn()
+        await rig.turn()
+        stands = rig.applied
+        await rig.follow(-25.0, -25.0, 10)
+        assert rig.state == "HOLD" and rig.applied == stands
+        assert "what the external offset was cannot be read" in rig.control.reference_ended
+        rig.set_reference("again")
+        await rig.follow(-1.0, -1.0, 20)
+        assert rig.state == "ACTIVE", "it is known from then on"
 
 
 async def test_the_guard_s_own_changes_are_none_wherever_it_is_looked_at_and_broken_off(tmp_path: Path) -> None:
