@@ -252,7 +252,7 @@ class Daemon:
         self._report("daemon", "started")
         self._publish_links()
         self._report("model", self._loaded.in_words())
-        scheduler = self._parts.housekeeping(self._history, self._configuration.history)
+        scheduler = self._parts.housekeeping(self._history, self._configuration.history, self._jobs)
         try:
             async with asyncio.TaskGroup() as tasks:
                 loop = asyncio.get_running_loop()
@@ -264,8 +264,6 @@ class Daemon:
                 controlling = tasks.create_task(self.control.run())
                 running = [tasks.create_task(work) for work in self._work()]
                 scheduler.start()
-                for job in self._jobs:
-                    job.start()
                 self._service_manager.ready("running")
                 log.info("daemon.ready", machine=self._configuration.machine)
                 _collect_what_comes_now()
@@ -278,8 +276,6 @@ class Daemon:
         finally:
             if scheduler.running:
                 scheduler.shutdown(wait=False)
-            for job in self._jobs:
-                job.stop()
             self._displacements.flush()
             self._report("daemon", "stopped")
             self.spindle_speed.close()

@@ -26,8 +26,6 @@ from daemon.snapshots import JobSnapshot
 from daemon.telemetry.metrics import give_memory_back
 
 log = structlog.get_logger(__name__)
-LOOK_PERIOD_S = 600
-"""Whether it is time is looked at this often [s of the wall clock]: what decides outlives restarts of the daemon."""
 LOOK_WITHIN_S = 30.0
 """A look at the folder is waited for so long: a network share may not answer for hours [s of the wall clock]."""
 RUN_WITHIN_S = 6 * 3600.0
@@ -51,11 +49,7 @@ class ScheduledProcess(ABC):
         self._process: asyncio.subprocess.Process | None = None
         self.attempted_utc_s = float("-inf")
         """When the command was last started; -inf: not since the daemon began."""
-        self._scheduler = AsyncIOScheduler(
-            timezone="UTC", job_defaults={"coalesce": True, "max_instances": 1, "misfire_grace_time": None}
-        )
-        first = datetime.now(UTC) + timedelta(seconds=first_look_s)
-        self._scheduler.add_job(self.run_if_due, "interval", seconds=LOOK_PERIOD_S, next_run_time=first)
+        self.first_look_s = first_look_s
 
     @abstractmethod
     def due(self, now_utc_s: float) -> bool:
@@ -68,15 +62,6 @@ class ScheduledProcess(ABC):
     @abstractmethod
     def in_words(self, made: Mapping[str, Any]) -> str:
         """Return what was made, for the audit."""
-
-    def start(self) -> None:
-        """Look now and then from now on."""
-        self._scheduler.start()
-
-    def stop(self) -> None:
-        """Look no more."""
-        if self._scheduler.running:
-            self._scheduler.shutdown(wait=False)
 
     async def run_if_due(self) -> None:
         """Run the command when it is due; whatever goes wrong is said, and tried again at the next look."""
@@ -161,13 +146,13 @@ def _in_words(error: Exception) -> str:
 
 
 HOUSEKEEPING_PERIOD_S = 600
-"""Time between housekeeping runs [s of the wall clock]."""
+"""Time between housekeeping runs, and between looks whether it is time for another job [s of the wall clock]."""
 HOUSEKEEPING_WITHIN_S = 3600.0
 """A run that takes longer is ended, and what is left is done by the next [s of the wall clock]."""
 
 
 class Scheduler(Protocol):
-    """Starts the housekeeping now and then."""
+    """Starts the housekeeping and the jobs now and then."""
 
     @property
     def running(self) -> bool: ...
@@ -177,16 +162,32 @@ class Scheduler(Protocol):
     def shutdown(self, *, wait: bool) -> None: ...
 
 
-Housekeeping = Callable[[HistoryWriter, HistoryConfig], Scheduler]
-"""Returns a scheduler, not started, for a store."""
+Housekeeping = Callable[[HistoryWriter, HistoryConfig, Sequence[ScheduledProcess]], Scheduler]
+"""Returns a scheduler, not started, for a store and the jobs beside it."""
 
 
-def housekeeping_scheduler(history: HistoryWriter, config: HistoryConfig) -> Scheduler:
-    """Return a scheduler, not started, that packs and prunes the store now and then."""
-    scheduler = AsyncIOScheduler(
+class _ByTheClock(AsyncIOScheduler):  # type: ignore[misc]
+    def wakeup(self) -> None:
+        """Start what is due, and what is further off than its period: the clock was set back, or on by years."""
+        now = datetime.now(UTC)
+        for job in self.get_jobs():
+            if abs(job.next_run_time - now) > job.trigger.interval:
+                job.modify(next_run_time=now)
+        super().wakeup()
+
+
+def housekeeping_scheduler(
+    history: HistoryWriter, config: HistoryConfig, jobs: Sequence[ScheduledProcess]
+) -> Scheduler:
+    """Return a scheduler, not started, that packs and prunes the store and looks after the jobs now and then."""
+    scheduler = _ByTheClock(
         timezone="UTC", job_defaults={"coalesce": True, "max_instances": 1, "misfire_grace_time": None}
     )
-    scheduler.add_job(_tidy, "interval", seconds=HOUSEKEEPING_PERIOD_S, args=[history, config])
+    every = {"trigger": "interval", "seconds": HOUSEKEEPING_PERIOD_S}
+    scheduler.add_job(_tidy, args=[history, config], **every)
+    for job in jobs:
+        first = datetime.now(UTC) + timedelta(seconds=job.first_look_s)
+        scheduler.add_job(job.run_if_due, next_run_time=first, **every)
     made: Scheduler = scheduler
     return made
 

@@ -145,7 +145,7 @@ class CampaignDaemon:
         assert configuration.displacements is not None
         return DisplacementCsvSource(configuration.displacements, clock, after_utc_s=after_utc_s, in_thread=False)
 
-    def _housekeeping(self, history: HistoryWriter, config: HistoryConfig) -> VirtualHousekeeping:
+    def _housekeeping(self, history: HistoryWriter, config: HistoryConfig, _: object) -> VirtualHousekeeping:
         self._history = history
         return VirtualHousekeeping(history, config)
 
