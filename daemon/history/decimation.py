@@ -45,6 +45,18 @@ class SeriesError(ValueError):
     """There is no such series; the text names it."""
 
 
+def recorded_hours(reader: HistoryReader, kind: str, from_utc_s: float, to_utc_s: float) -> set[int]:
+    """Return the beginning [ms] of every hour that holds something of a kind."""
+    span = ms_from_s(from_utc_s) // HOUR_MS * HOUR_MS, ms_from_s(to_utc_s)
+    hour = f"(({{0}} + {HOUR_MS} * 10000000) / {HOUR_MS} - 10000000) FROM {{1}} WHERE {{0}} >= ? AND {{0}} < ?"
+    queries = (
+        (f"SELECT DISTINCT {hour.format('utc_ms', TABLES[kind])}", span),
+        (f"SELECT DISTINCT {hour.format('start_ms', 'chunks')} AND kind = ?", (*span, kind)),
+    )
+    with naming_damage(reader.path), reader._snapshot() as connection:
+        return {hour * HOUR_MS for sql, values in queries for (hour,) in connection.execute(sql, values)}
+
+
 class SeriesReader(HistoryReader):
     """A reader for the monitor: it knows the extremes of packed hours too, and looks for events."""
 
@@ -57,19 +69,6 @@ class SeriesReader(HistoryReader):
             if places := {i: position for position, i in enumerate(members) if i in sensor_ids}:
                 found.append((layout_id, places))
         return found
-
-    def hours(self, kind: str, from_utc_s: float, to_utc_s: float) -> set[int]:
-        """Return the beginning [ms] of every hour that holds something of a kind."""
-        span = ms_from_s(from_utc_s) // HOUR_MS * HOUR_MS, ms_from_s(to_utc_s)
-        queries = (
-            (f"SELECT DISTINCT utc_ms / {HOUR_MS} FROM {TABLES[kind]} WHERE utc_ms >= ? AND utc_ms < ?", span),
-            (
-                f"SELECT DISTINCT start_ms / {HOUR_MS} FROM chunks WHERE start_ms >= ? AND start_ms < ? AND kind = ?",
-                (*span, kind),
-            ),
-        )
-        with naming_damage(self.path), self._snapshot() as connection:
-            return {hour * HOUR_MS for sql, values in queries for (hour,) in connection.execute(sql, values)}
 
     def extremes(self, kind: str, layout_id: int, from_utc_s: float, to_utc_s: float) -> Iterator[tuple[int, Extremes]]:
         """Yield the packed hours [ms] of a kind, and in temperatures of a line, with the extremes of their series."""
@@ -194,7 +193,7 @@ def _windows(
     """Yield the hours that hold something and are not covered, cut to the time that is asked for."""
     if not first_s < last_s:
         return
-    for hour_ms in sorted(reader.hours(kind, first_s, last_s) - covered):
+    for hour_ms in sorted(recorded_hours(reader, kind, first_s, last_s) - covered):
         start, stop = max(first_s, hour_ms / 1e3), min(last_s, hour_ms / 1e3 + HOUR_S)
         if start < stop:
             yield start, stop

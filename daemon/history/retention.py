@@ -73,6 +73,7 @@ def retention(config: HistoryConfig) -> list[tuple[str, str, float]]:
         (ESTIMATES.table, ESTIMATES.name, config.keep_estimates_days),
         (WRITES.table, WRITES.name, config.keep_writes_days),
         ("events", "", config.keep_writes_days),
+        ("probes", "", config.keep_writes_days),
         ("reference_points", "", config.keep_writes_days),
     ]
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from daemon.history.columns.codec import FloatArray, IntArray
 from daemon.history.columns.frames import ColumnType, Frame, Kind, MappingColumn
 from daemon.history.columns.kinds import KINDS, TEMPERATURES
+from daemon.history.decimation import recorded_hours
 from daemon.history.reader import HistoryReader
 from daemon.history.series import NOT_IN_CYCLE, EventRecord, TemperatureHistory
 from models.quality import Quality, Reason
@@ -74,7 +75,7 @@ class Table:
         self._reader, self.what = reader, what
         self._sensor_ids = reader.sensor_ids() if sensor_ids is None else tuple(sensor_ids)
         self._quality = quality
-        self._windows = _windows(reader.extent(what), from_utc_s, to_utc_s)
+        self._windows = _windows(reader, what, from_utc_s, to_utc_s)
         self._keys = self._mapping_keys(KINDS[what]) if what in KINDS else {}
         self.columns = tuple(column for column, _ in self._read(0.0, 0.0))
 
@@ -116,11 +117,13 @@ def _event_columns(events: Sequence[EventRecord]) -> Iterator[tuple[TableColumn,
         yield _column(name, TableType.TEXT), [getattr(event, name) for event in events]
 
 
-def _windows(extent: tuple[float, float] | None, from_s: float, to_s: float) -> list[tuple[float, float]]:
-    if extent is None:
+def _windows(reader: HistoryReader, what: str, from_s: float, to_s: float) -> list[tuple[float, float]]:
+    """Return the hours that hold something: one row of another century leaves a million empty ones between."""
+    if (extent := reader.extent(what)) is None:
         return []
     first_s, end_s = max(from_s, extent[0]), min(to_s, extent[1] + 0.001)
-    starts = np.arange(first_s - first_s % WINDOW_S, end_s, WINDOW_S).tolist()
+    hours = sorted(recorded_hours(reader, what, first_s, end_s)) if first_s < end_s else []
+    starts = [hour_ms / 1e3 for hour_ms in hours]
     return [(max(start, first_s), min(start + WINDOW_S, end_s)) for start in starts]
 
 

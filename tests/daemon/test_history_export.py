@@ -22,6 +22,7 @@ from daemon.history.export import complete_file, write_parquet
 from daemon.history.reader import HistoryReader
 from daemon.history.tables import Table
 from daemon.history.writer import HistoryWriter
+from daemon.monitor.web.api_history import LATEST_UTC_S, writes_document
 from models.quality import Reason
 from models.records import WriteOutcome
 
@@ -336,3 +337,24 @@ def test_a_link_in_the_place_of_the_unfinished_file_is_not_followed(tmp_path: Pa
         partial.write_text("new")
     assert (tmp_path / "of_root").read_text() == "left as it is"
     assert (tmp_path / "day.csv").read_text() == "new" and not (tmp_path / "day.csv").is_symlink()
+
+
+def test_a_row_of_1969_and_one_of_2099_leave_no_million_of_empty_hours_to_walk(tmp_path):
+    times_s = [-10.0, 10.0, EPOCH_S, EPOCH_S + 7000.0, 4_070_908_800.0]
+    writer = HistoryWriter(tmp_path / "h.sqlite", clock=StillClock(EPOCH_S), machine=SMALL)
+    writer.start()
+    for time_s in times_s:
+        writer.displacement(make.displacement(time_s, [1.0, 2.0, 3.0]))
+        written = make.macros(1, np.array([0.0, 1.0, -2.0]))
+        writer._clock.utc_s = max(time_s, 0.0)
+        writer.write_intent(make.command([0.0, 1.0, -2.0]), written, "cycle", None)
+    writer.close()
+    with HistoryReader(tmp_path / "h.sqlite") as reader:
+        table = Table(reader, "displacements", -1e6, 5e9)
+        assert table.window_count == len(times_s)
+        assert [time for window in table.windows() for time in window[1]] == times_s
+        assert Table(reader, "displacements", EPOCH_S + 1.0, EPOCH_S + 6999.0).window_count <= 2
+        assert Table(reader, "displacements", 4.08e9, 5e9).window_count == 0
+        looks: list[None] = []
+        found = writes_document(reader, 0.0, LATEST_UTC_S, 50, "", "", lambda: looks.append(None))
+    assert len(found["writes"]) == len(times_s) and len(looks) <= len(times_s)

@@ -16,6 +16,7 @@ from daemon.history.database import connect_reader
 from daemon.history.reader import HistoryReader
 from daemon.history.tidying import LONGEST_UNPROVEN_H, unproven_h
 from daemon.history.writer import HistoryWriter
+from models.records import ProbeSample
 
 HOUR_S, DAY_S = 3600.0, 86_400.0
 CONFIG = HistoryConfig(
@@ -116,3 +117,16 @@ async def test_nights_and_weekends_hold_nothing_up(tmp_path: Path, shifts: range
         assert unproven_h(connection, now_s - 1.0) <= 2 * most_h
         assert unproven_h(connection, now_s - 1.0 + 40 * 24 * HOUR_S) >= 40 * 24 - 1
     assert most_h < LONGEST_UNPROVEN_H
+
+
+async def test_probes_stay_as_long_as_the_audit_and_no_longer(tmp_path: Path) -> None:
+    with writing(tmp_path / "h.sqlite") as writer:
+        for day in (0.0, 15.0):
+            numbers = {"deviation_um": 1.0, "applied_um": 0.0, "thermal_error_um": 1.0}
+            told = {"axis": "Z", "reference_id": None, "accepted": True, "reason": ""}
+            writer.probe(ProbeSample(time=make.instant(EPOCH_S + day * DAY_S), **numbers, **told))
+        record(writer, EPOCH_S, 20 * 24)
+        await writer.flushed()
+        await writer.request_housekeeping(CONFIG.model_copy(update={"keep_writes_days": 10.0}))
+        with HistoryReader(tmp_path / "h.sqlite") as reader:
+            assert [probe.time.utc_s for probe in reader.probes(0.0, 1e11)] == [EPOCH_S + 15.0 * DAY_S]

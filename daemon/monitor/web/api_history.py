@@ -9,7 +9,7 @@ from fastapi import APIRouter, Query, Request
 from starlette.responses import JSONResponse, Response
 
 from daemon.history.columns.kinds import ESTIMATES, WRITES
-from daemon.history.decimation import SeriesReader
+from daemon.history.decimation import SeriesReader, recorded_hours
 from daemon.history.reader import HistoryReader
 from daemon.history.series import WriteRecord
 from daemon.monitor.web import schemas
@@ -50,16 +50,13 @@ def writes_document(
     reader: HistoryReader, from_s: float, to_s: float, limit: int, text: str, outcome: str, go_on: Callable[[], None]
 ) -> dict[str, Any]:
     """Return the latest writes of an interval, newest first; where given, only those with `text` and of `outcome`."""
-    extent = reader.extent(WRITES.name)
-    if extent is None:
-        return {"writes": [], "more": False}
-    first_s, stop_s = max(from_s, extent[0]), min(to_s, extent[1] + 0.001)
     found: list[WriteRecord] = []
-    while stop_s > first_s and len(found) <= limit:
+    for hour_ms in sorted(recorded_hours(reader, WRITES.name, from_s, to_s), reverse=True):
         go_on()
-        begin_s = max(first_s, stop_s - HOUR_S)
+        begin_s, stop_s = max(from_s, hour_ms / 1e3), min(to_s, hour_ms / 1e3 + HOUR_S)
         found = [*(each for each in reader.writes(begin_s, stop_s) if _holds(each, text, outcome)), *found]
-        stop_s = begin_s
+        if len(found) > limit:
+            break
     more, found = len(found) > limit, found[-limit:]
     if not found:
         return {"writes": [], "more": False}
