@@ -16,6 +16,7 @@ from cryptography.hazmat.primitives.serialization import Encoding
 
 from config.records.commissioning import CommissioningError, commissioning_inhibit, load_commissioning
 from config.schema import Configuration
+from config.schema.cnc_drivers import LATEST_T
 from config.schema.service import OpcUaServerConfig, ServiceConfig
 from config.schema.sinks import SinkConfig
 from config.schema.source_drivers import SourceEntry
@@ -245,7 +246,18 @@ def _spindle_speed(configuration: Configuration) -> Finding:
 
 def _tool_number(configuration: Configuration) -> Iterator[Finding]:
     """Yield what a program has to do where the control tells which tool was called, not which is in the spindle."""
-    if configuration.cnc.tells_prepared_tool and any(a.tool_term for a in configuration.compensation.axes.values()):
+    if not configuration.cnc.tells_prepared_tool:
+        return
+    tuning = configuration.spindle_speed
+    if tuning is not None and tuning.tool_variable == LATEST_T:
+        detail = (
+            "#4120 is the latest T word, which may only prepare a tool, and both the call and the daemon read it, so "
+            "that nobody notices: a call after the T word of the next tool takes that one's speed. Call before it, or "
+            "name the variable in which the machine's builder keeps the tool in the spindle "
+            "(spindle_speed.tool_variable, cnc.focas.tool_macro)"
+        )
+        yield Finding(subject="tool of the spindle speed", passed=True, detail=detail)
+    if any(a.tool_term for a in configuration.compensation.axes.values()):
         detail = (
             "#4120 is the latest T word, which may only prepare a tool: the output holds until the program has named "
             "the one in the spindle by the handshake, or cnc.focas.tool_macro names the variable in which the "

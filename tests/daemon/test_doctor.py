@@ -7,11 +7,12 @@ import sys
 import pytest
 import yaml
 from scripted_machine import ScriptedNc
+from speed_machine import speed_machine
 
 from config.loader import load_configuration
 from config.machines import shipped_file
 from config.sample import sample_configuration
-from config.schema.cnc_drivers import MtconnectConfig
+from config.schema.cnc_drivers import FocasConfig, MtconnectConfig
 from config.schema.modbus import ModbusConfig
 from config.schema.source_drivers import SourceConfig
 from daemon.checkup.computer import OUR_PACKAGES, examine
@@ -64,6 +65,16 @@ async def test_of_a_tool_number_that_may_be_the_next_tool_s_it_says_so(tmp_path,
     findings = preflight(load_configuration(path), SystemClock(), devices=False)
     details = [finding.detail async for finding in findings if finding.subject == "tool in the spindle"]
     assert ["#4120 is the latest T word" in detail for detail in details] == [True] * told
+
+
+@pytest.mark.parametrize(("macro", "told"), [(4120, True), (550, False)])
+async def test_of_a_speed_that_may_be_the_next_tool_s_it_says_so(tmp_path, macro, told):
+    """Call and control both read #4120, so that their comparison finds no tool that is only prepared."""
+    configuration = speed_machine(tmp_path)
+    cnc = configuration.cnc.model_copy(update={"focas": FocasConfig(host="127.0.0.1", tool_macro=macro)})
+    findings = preflight(configuration.model_copy(update={"cnc": cnc}), SystemClock(), devices=False)
+    details = [finding.detail async for finding in findings if finding.subject == "tool of the spindle speed"]
+    assert ["takes that one's speed" in detail for detail in details] == [True] * told
 
 
 async def test_a_line_whose_port_is_missing_is_named_once() -> None:
