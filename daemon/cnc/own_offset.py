@@ -54,11 +54,7 @@ class OwnOffsetWatch:
         own_mm = self._own_mm(await cnc.read_macros(read))
         if not (changes := self._changes(own_mm)):  # the guard had been at it
             return ""
-        words = [
-            f"axis {axis} by {um_from_mm(own_mm[axis] - self._known[axis]):+.1f} um"
-            for axis in changes
-            if axis in self._known
-        ]
+        words = [f"axis {n} by {um_from_mm(own_mm[n] - self._known[n]):+.1f} um" for n in changes if n in self._known]
         lost = UNREADABLE in self._known
         self._known = own_mm if lost else self._known | own_mm
         self._store.put(OwnOffsets(mm=dict(self._known)))

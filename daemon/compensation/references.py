@@ -65,6 +65,7 @@ class References:
         macros = configuration.cnc.macros
         self._safe_flag, self._guard_status = macros.safe_flag, macros.echo_status
         self._echo = (macros.echo_time, *macros.echo_applied.values())
+        self._um_per_unit = [abs(um_per_unit[axis]) for axis in macros.echo_applied]
         self._foreign: list[str] = []
         self._positioned: tuple[str, int, list[float | None]] = ("", 0, [])
         """The latest reference that was asked for and does not count yet, and then the tool, and what was echoed."""
@@ -144,8 +145,9 @@ class References:
             self._positioned = ("", 0, now)
         identity, tool, stood = self._positioned
         late = self.current is not None and self.current.reference_id == identity
-        changed = self.tools_differ and polled.tool_number != tool
-        return _changed_before(tool=changed, moved=_farthest_um(stood, now) > UNSURE_UM) if late else ""
+        changed = late and self.tools_differ and polled.tool_number != tool
+        moved = late and _farthest_um(stood, now, self._um_per_unit) > UNSURE_UM
+        return _changed_before(tool=changed, moved=moved)
 
     def on_sample(self, polled: CncSample, asked_s: float) -> None:
         """Take one poll of the CNC, for which it was asked at `asked_s` [s]."""
@@ -255,13 +257,9 @@ class References:
         if self.left is not None and self.current is None:
             return
         document = reference_restart.document_of(self.memory, self._rules, self._handshake.answered, self.tool_seen)
-        now_s, kept = self._clock.now().real_s, self._kept
-        changed = (
-            kept is None
-            or kept.record is not document.record
-            or (kept.state, kept.ended, kept.request_counter, kept.tool)
-            != (document.state, document.ended, document.request_counter, document.tool)
-        )
+        now_s, kept, names = self._clock.now().real_s, self._kept, ("state", "ended", "request_counter", "tool")
+        changed = kept is None or kept.record is not document.record
+        changed = changed or any(getattr(kept, name) != getattr(document, name) for name in names)
         if changed or now_s - self._kept_real_s >= KEPT_PERIOD_REAL_S:
             self._kept, self._kept_real_s = document, now_s
             self._store.put(document)
@@ -276,9 +274,9 @@ class References:
             self._store.put(self.left)
 
     def _most_um(self, applied_um: FloatArray) -> float:
-        """Return the largest offset that is applied [um], NaN while the guard's echo may not say it."""
+        """Return the largest offset that is applied [um], NaN where nobody knows; without zero_first it may be any."""
         unsettled = self.sample is not None and self.sample.macros.get(self._guard_status) in UNSETTLED
-        return math.nan if unsettled else float(np.nan_to_num(np.abs(applied_um)).max())
+        return math.nan if unsettled else float(np.abs(applied_um).max()) if self._rules.zero_first else 0.0
 
     def _step(self, step: reference.Step) -> None:
         self.memory, effects = step
@@ -304,9 +302,10 @@ def _changed_before(*, tool: bool, moved: bool) -> str:
     return "the tool was changed between the positioning and its reference, which came late" if tool else guard
 
 
-def _farthest_um(then: list[float | None], now: list[float | None]) -> float:
-    """Return by how much an echo [mm] has changed, of the worst axis [um]; without a bound where one is vacant."""
-    return 1e3 * max(math.inf if a is None or b is None else abs(a - b) for a, b in zip(then, now, strict=True))
+def _farthest_um(then: list[float | None], now: list[float | None], um_per_unit: list[float]) -> float:
+    """Return how far the worst axis is from where it was by its echo [um]; without a bound where one is vacant."""
+    axes = zip(then, now, um_per_unit, strict=True)
+    return max(math.inf if a is None or b is None else um * abs(a - b) for a, b, um in axes)
 
 
 def new_id() -> str:

@@ -174,7 +174,10 @@ def adopt(memory: ReferenceMemory, reference: Reference, rules: ReferenceRules, 
 def still_applied(rules: ReferenceRules, still_applied_um: float) -> str:
     """Return why no reference can be set while so much is applied [um], NaN: nobody knows; '' when one can."""
     if math.isnan(still_applied_um):
-        return "the guard has not settled what is applied (status 6, 8, 9 or 14): call it, then position again"
+        return (
+            "the guard has not settled what is applied (status 6, 8, 9 or 14), or its echo is not known: call it, then "
+            "position again"
+        )
     if not rules.zero_first or still_applied_um <= 0.0:
         return ""
     return (

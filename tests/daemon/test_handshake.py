@@ -448,6 +448,20 @@ async def test_zero_first_refuses_a_reference_by_hand_before_anything_begins_to_
         assert "zero_first" in rig.control.journal.notices[-1]
 
 
+async def test_zero_first_takes_no_vacant_echo_for_an_offset_that_is_out(tmp_path):
+    bench = zero_first(Bench(tmp_path))
+    async with running(bench.rig()) as rig:
+        await rig.active()
+        bench.nc.macros.set(513, None)
+        await rig.turn(safe=False)
+        assert "its echo is not known" in rig.control.requests.put_reference("Ada")
+        bench.nc.sequence_number = 100
+        await rig.turn(safe=False)
+        rig.set_reference(last_asked(rig).reference_id)
+        await rig.turn(safe=False)
+        assert rig.control.reference is None and "its echo is not known" in rig.control.reference_ended
+
+
 async def test_a_reference_that_has_ended_never_comes_back_by_a_sensor_that_returns(rig, bench):
     await rig.active()
     await rig.follow(0.0, -8.0, 40)
