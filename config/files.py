@@ -44,6 +44,9 @@ def write_whole(path: Path, content: str | bytes, mode: int | None = None) -> No
 
     Without a `mode` the file has the permissions of a new one.
     """
+    if mode is None and path.exists() and not (path.is_file() or path.is_dir()):
+        path.write_bytes(content.encode() if isinstance(content, str) else content)  # /dev/stdout stays what it is
+        return
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         temporary.unlink(missing_ok=True)

@@ -19,6 +19,15 @@ def test_a_file_is_put_in_the_place_of_the_old_one(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path], "nothing is left beside it"
 
 
+def test_a_pipe_or_a_device_is_written_to_and_not_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    reading = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    write_whole(path, "to whoever reads")
+    assert os.read(reading, 100) == b"to whoever reads" and path.is_fifo()
+    os.close(reading)
+
+
 def test_the_old_file_stands_where_the_new_one_cannot_be_written(tmp_path: Path) -> None:
     path = tmp_path / "file"
     write_whole(path, "old")

@@ -30,8 +30,11 @@ def test_modes_on_bearings_and_free(spindle: Path, tmp_path: Path) -> None:
 
 
 def test_a_written_response_is_a_measurement_for_identification(spindle: Path, tmp_path: Path) -> None:
-    path = tmp_path / "frf.csv"
+    path, old = tmp_path / "frf.csv", tmp_path / "old.csv"
+    old.write_text("the last response", encoding="utf-8")
+    path.hardlink_to(old)
     found = answer("frf", spindle, "--points", 400, "--csv", path)
+    assert old.read_text(encoding="utf-8") == "the last response", "the file was written over, not put in one step"
     table = np.loadtxt(path, delimiter=",", skiprows=1)
     assert table[:, 1].tolist() == found["receptance_re"]
     assert answer("identify", spindle, path, "--fixed", "file")["log_error"] < 1e-6

@@ -80,6 +80,7 @@ def campaign(
     as in the recording. Every response is identified, the series are interpolated to one minute, sensors and
     intervals are chosen, and the regressions are fitted.
     """
+    from config.files import write_whole
     from config.loader import load_configuration
     from config.machine.published_bearings import load_bounds
     from config.machine.spindle_chain import found_file, read_spindle
@@ -120,7 +121,7 @@ def campaign(
                 f"error on left-out stretches {fit['left_out_error']:.3f}"
             )
     if model_path is not None:
-        model_path.write_text(model_to_json(result.model), encoding="utf-8")
+        write_whole(model_path, model_to_json(result.model))
     if report_path is not None:
         from daemon.workbench.dynamics.campaign_report import write_report
 

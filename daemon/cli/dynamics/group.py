@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from config.files import write_whole
 from daemon.cli.command_group import Group
 from daemon.cli.common import FILE, option, refuse, say, show_warnings, write_json
 from daemon.cli.dynamics.bearings import bearings
@@ -160,7 +161,7 @@ def blank(
         for name, tool in found["tools"].items():
             rows = zip(found["frequency_hz"], tool["receptance_re"], tool["receptance_im"], strict=True)
             lines = ["frequency_hz,receptance_re,receptance_im", *(f"{f!r},{re!r},{im!r}" for f, re, im in rows)]
-            (output_dir / f"{name}.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+            write_whole(output_dir / f"{name}.csv", "\n".join(lines) + "\n")
     write_json(json_path, found)
 
 
@@ -259,7 +260,7 @@ def frf(
     if csv_path is not None:
         rows = zip(found["frequency_hz"], found["receptance_re"], found["receptance_im"], strict=True)
         lines = ["frequency_hz,receptance_re,receptance_im", *(f"{f!r},{re!r},{im!r}" for f, re, im in rows)]
-        csv_path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        write_whole(csv_path, "\n".join(lines) + "\n")
     if picture is not None:
         from daemon.workbench.dynamics.pictures import response_picture
 

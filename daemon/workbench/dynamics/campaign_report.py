@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from config.files import write_whole
 from config.html_page import Section
 from config.machine.spindle_chain import Spindle
 from daemon.workbench.dynamics.campaign import CampaignResult, few
@@ -36,7 +37,7 @@ def write_report(path: Path, result: CampaignResult, spindle: Spindle) -> None:
         before.append(Section(title="Warnings", items=tuple(result.warnings)))
     before.append(_regression_table(result))
     title = f"Impact campaign: {result.model.model_id}"
-    path.write_text(report_page(title, before, figures, [_parameter_table(result)]), encoding="utf-8")
+    write_whole(path, report_page(title, before, figures, [_parameter_table(result)]))
 
 
 def _temperatures(result: CampaignResult) -> Figure:

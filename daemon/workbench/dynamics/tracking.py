@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from config.files import write_whole
 from config.html_page import Section
 from config.machine.spindle_chain import Spindle
 from daemon.workbench.dynamics.campaign import Temperatures
@@ -141,7 +142,7 @@ def write_tracking_page(path: Path, day: TrackedDay) -> None:
     figures.insert(0, Figure(title="Followed resonance at the tool point (Fig. 5-19)", axes=[resonances]))
     warnings = [Section(text=warning) for warning in day.warnings]
     title = f"Tool point over time, model {day.dynamics[0].model_id}"
-    path.write_text(report_page(title, warnings, figures), encoding="utf-8")
+    write_whole(path, report_page(title, warnings, figures))
 
 
 def _crosses(x: FloatArray, y: FloatArray, colour: str, label: str = "") -> Curve:
