@@ -47,7 +47,7 @@ WORK = (
     Happening(kind=Incident.MODEL_RELOAD, at_s=700.0),
     Happening(kind=Incident.WRONG_SENSOR, at_s=720.0, duration_s=2300.0, target=99, amount=20.0),
     Happening(kind=Incident.DAMAGED_MODEL, at_s=2200.0, duration_s=10.0),
-    Happening(kind=Incident.OTHER_POLICY, at_s=3060.0, duration_s=5.0, target=0),
+    Happening(kind=Incident.OTHER_POLICY, at_s=3063.0, duration_s=5.0, target=0),  # the poll of 3062 s is kept
 )
 """A part from its positioning to the next one, on which the program probes and changes tools by itself."""
 WORK_END_S = 3510.0
