@@ -61,6 +61,8 @@ MIXED_BETTER = 1.0
 """By so many the mean of processes and ridges must be better than that of one kind: it is the best of more trials."""
 OWN_BETTER = 2.0
 """By so many members of a channel's own must be better than those of all channels: every channel is a trial more."""
+FEWEST_TO_PART = 5
+"""Of so many runs or cycles left out at least: the error of a difference of four is itself known too badly."""
 WATCH_IS_WORTH = 0.02
 """A family of which no sensor can be left out, so that none can be watched, must leave so much less of the error."""
 FEWEST_TO_MIX = 3
@@ -252,7 +254,7 @@ class ChosenProblem:
         What is seen of one channel may ask for much damping, or lags, and what is seen of another for little and none.
         """
         ridges, _ = self._made
-        if chosen.errors is None or not chosen.members or not ridges:
+        if self._independent < FEWEST_TO_PART or chosen.errors is None or not chosen.members or not ridges:
             return None
         why, used = [], []
         for channel, name in enumerate(self._inputs.channels):
