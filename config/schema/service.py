@@ -33,7 +33,7 @@ class HistoryConfig(Section):
     keep_cnc_days: Days = Field(730.0, description="CNC samples are kept this long [d]")
     keep_displacements_days: Days = Field(3650.0, description="displacements are kept this long [d]")
     keep_estimates_days: Days = Field(730.0, description="estimates are kept this long [d]")
-    keep_writes_days: Days = Field(3650.0, description="the audit of writes is kept this long [d]")
+    keep_writes_days: Days = Field(3650.0, description="the audit of writes, and probes, are kept this long [d]")
     keep_for_sinks_days: Days = Field(
         30.0, description="what a sink has not taken yet (`sinks`) is kept so much longer, then the oldest goes [d]"
     )
