@@ -284,8 +284,8 @@ async def test_nor_does_a_feed_that_goes_every_way_or_a_model_that_is_released_m
 
 @pytest.mark.slow
 async def test_nor_in_many_histories(tmp_path: Path, times_as_many: int) -> None:
-    _, wrong = await played(tmp_path, range(1000, 1002 + times_as_many), EVENTS + HANDS)
-    _, found = await played(tmp_path, range(2000, 2002 + times_as_many), HANDS + LATER, everywhere=True)
+    _, wrong = await played(tmp_path, range(1000, 1000 + times_as_many), EVENTS + HANDS)
+    _, found = await played(tmp_path, range(2000, 2000 + times_as_many), HANDS + LATER, everywhere=True)
     assert not wrong + found
 
 
