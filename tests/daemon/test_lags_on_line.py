@@ -630,6 +630,15 @@ async def test_a_model_that_waits_reads_the_past_again_when_the_calendar_is_set(
     await shop.end()
 
 
+async def stand_alike(shops: list[Shop], *, within_um: float) -> None:
+    """Of a twin and another one the estimates agree and count; both end."""
+    twin, loop = (shop.latest for shop in shops)
+    assert loop.confidence > 0.9
+    np.testing.assert_allclose(loop.thermal_error_um, twin.thermal_error_um, atol=within_um)
+    for shop in shops:
+        await shop.end()
+
+
 async def test_a_reference_that_was_never_left_is_not_made_anew_from_the_history(tmp_path, model):
     """By hand another one was asked for and refused: with the states of now at it, what had warmed since was lost."""
     shops = []
@@ -645,11 +654,7 @@ async def test_a_reference_that_was_never_left_is_not_made_anew_from_the_history
             await shop.task._take(shop.taken_up(reference))
         await shop.run(10)
         shops.append(shop)
-    twin, loop = (shop.latest for shop in shops)
-    assert loop.confidence > 0.9
-    np.testing.assert_allclose(loop.thermal_error_um, twin.thermal_error_um, atol=0.05)
-    for shop in shops:
-        await shop.end()
+    await stand_alike(shops, within_um=0.05)
 
 
 async def test_a_reference_of_a_minute_before_a_restart_is_taken_up_with_the_states_of_then(tmp_path, model):
@@ -671,11 +676,7 @@ async def test_a_reference_of_a_minute_before_a_restart_is_taken_up_with_the_sta
             await shop.task._take(taken_up)
         await shop.run(10)
         shops.append(shop)
-    twin, loop = (shop.latest for shop in shops)
-    assert loop.confidence > 0.9
-    np.testing.assert_allclose(loop.thermal_error_um, twin.thermal_error_um, atol=0.3)
-    for shop in shops:
-        await shop.end()
+    await stand_alike(shops, within_um=0.3)
 
 
 def speed_alone():
