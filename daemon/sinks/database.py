@@ -112,6 +112,7 @@ class Database:
         self._connection: PatientConnection | None = None
         self._months: set[tuple[str, int, int]] = set()
         self._partitioned: set[str] = set()
+        self._version = 0
 
     @property
     def connection(self) -> psycopg.Connection[Any]:
@@ -171,7 +172,8 @@ class Database:
         connection = self.connection
         table = TABLES.get(stream.name, stream.name)
         names = [sql.Identifier(COLUMNS.get(name, name)) for name in stream.columns]
-        target, staging = sql.Identifier(SCHEMA, table), sql.Identifier(f"staging_{table}")
+        # A pooler lends a connection with what another version of this product has made for its columns.
+        target, staging = sql.Identifier(SCHEMA, table), sql.Identifier(f"staging_{table}_{self._version}")
         columns = sql.SQL(", ").join([sql.Identifier("machine"), *names])
         if table in self._partitioned:
             self._make_partitions(table, days)
@@ -255,6 +257,7 @@ class Database:
         )
         (version,) = connection.execute("SELECT coalesce(max(version), 0) FROM schema_versions").fetchone() or (0,)
         known = scripts()
+        self._version = known[-1][0]
         if version > known[-1][0]:
             raise SinkError(f"{self._where}: {newer_schema(version, known[-1][0])}")
         encoding = connection.info.parameter_status("server_encoding")
