@@ -12,6 +12,7 @@ N90015
 IF[ABS[#{pending}]GT0]GOTO90081
 @axes
 IF[ABS[#{echo}]GT0]GOTO90081
+IF[ABS[#{mirror}]GT0]GOTO90081
 @end
 N90020#{pending}=0
 #{planned}=0

@@ -13,6 +13,7 @@ TP_LOOK:
 IF (R{pending}<>{vacant}) AND (R{pending}<>0) GOTOF TP_APPLIED
 @axes
 IF (R{echo}<>{vacant}) AND (R{echo}<>0) GOTOF TP_APPLIED
+IF (R{mirror}<>{vacant}) AND (R{mirror}<>0) GOTOF TP_APPLIED
 @end
 TP_CLEAR:
 R{pending}=0

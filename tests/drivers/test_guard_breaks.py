@@ -129,6 +129,11 @@ def test_initialising_forgets_only_on_demand(bench: GuardBench) -> None:
     interpreter.run(bench.nc.programs.initialise)
     assert bench.nc.control.alarm == (111, "TOOLPOINT OFFSET APPLIED")
     assert bench.echo_um["z"] == pytest.approx(5.0)
+    for lost in (0.0, None):  # the echo was written over, or lies elsewhere in a new text: the memory tells
+        bench.nc.control.alarm = None
+        bench.macros.set(MAP.echo_applied["z"], lost)
+        interpreter.run(bench.nc.programs.initialise)
+        assert bench.nc.control.alarm == (111, "TOOLPOINT OFFSET APPLIED")
     bench.nc.control.alarm = None
     interpreter.run(bench.nc.programs.initialise, A=1.0)
     assert bench.nc.control.alarm is None
