@@ -11,10 +11,11 @@ from config.schema.source_drivers import SourceConfig
 from config.schema.sources import SourceSensorConfig
 from models.units import MLX90615_K_PER_LSB, TMP102_DEGC_PER_LSB
 
+_NUMBER: dict[str, Any] = {"type": "integer", "minimum": 1, "maximum": 99_999_999}
 SensorNumber = Annotated[
     int,
-    Field(ge=1),
-    WithJsonSchema({"anyOf": [{"type": "integer", "minimum": 1}, {"type": "string", "pattern": RANGE_PATTERN}]}),
+    Field(ge=1, le=99_999_999),
+    WithJsonSchema({"anyOf": [_NUMBER, {"type": "string", "pattern": RANGE_PATTERN}]}),
 ]
 """The loader puts a sensor for each number in the place of a range (config/loader.py)."""
 ChainEntry = Annotated[int, Field(ge=1)] | Annotated[str, Field(pattern=RANGE_PATTERN)]

@@ -103,6 +103,7 @@ CHANNEL = {"name": "Z1", "column": "Z1"}
             "temperatures.sources[0].modbus.sensors[0].id",
             "at most 99999999",  # beyond 32 bit no sink of the plant takes a row of its source
         ),
+        ("temperatures.sensors.0.id", 2_603_150_001, "temperatures.sensors[0].id", "at most 99999999"),
         ("temperatures.lines.0.grammar", {}, "temperatures.lines[0].grammar", "only then"),
         ("temperatures.lines.0.profile", "custom", "temperatures.lines[0].profile", "give `grammar`"),
         ("temperatures.sensors.1", {"id": 1, **SENSOR}, "temperatures.sensors[1].id", "sensor 1 is listed twice"),
