@@ -27,6 +27,8 @@ CNC_CLASS = 1
 VACANT_EXPONENT = -1
 LARGEST_MANTISSA = 2**31 - 1
 MOST_DECIMALS = 9
+NINE_DIGITS = 999_999_999
+"""No control needs to take more of a value that is written; a whole number may have one more."""
 LARGEST_EXPONENT = {2: 62, 10: 18}
 """By base: above it a double cannot hold what the value means."""
 
@@ -186,7 +188,7 @@ def encode_value(value: float | None) -> bytes:
     if value is None:
         return _VALUE.pack(0, 10, VACANT_EXPONENT)
     for decimals in range(MOST_DECIMALS, -1, -1):
-        if abs(mantissa := round(value * 10**decimals)) <= LARGEST_MANTISSA:
+        if abs(mantissa := round(value * 10**decimals)) <= (NINE_DIGITS if decimals else LARGEST_MANTISSA):
             return _VALUE.pack(mantissa, 10, decimals)
     raise OverflowError(f"{value} has more digits than the protocol carries")
 
