@@ -15,6 +15,16 @@ o3 if [#<_task> EQ 0]
 o<toolpoint> return [0]
 o3 endif
 #<what>=#1
+#<known>=[[#<what> EQ 1] OR [#<what> EQ 5]]
+@request
+#<known>=[#<known> OR [#<what> EQ 2]]
+@end
+@flag
+#<known>=[#<known> OR [#<what> EQ 3] OR [#<what> EQ 4]]
+@end
+o7 if [#<known> EQ 0]
+(ABORT, TOOLPOINT CALL WRONG)
+o7 endif
 #<status>=0
 #<trouble>=0
 #<tries>=0

@@ -212,6 +212,18 @@ async def test_a_block_that_is_being_written_and_another_coordinate_system_move_
     assert await mill.stands_mm() == pytest.approx(before, abs=1e-9)
 
 
+async def test_a_call_that_this_text_does_not_know_says_so_and_not_that_it_applied(mill: Mill) -> None:
+    """This machine has neither handshake nor flag: a request that nobody hears is no reference."""
+    await mill.write({"Z": 1.0})
+    before = await mill.cnc.read_macros([513, 514])
+    for numbers in ("", "[2] [1] [0]", "[3]", "[4]", "[1.5]"):
+        await mill.linuxcnc.mdi(f"o<toolpoint> call {numbers}")
+        (*_, said) = await mill.linuxcnc.do(["messages"])
+        assert "TOOLPOINT CALL WRONG" in said, numbers
+        assert await mill.cnc.read_macros([513, 514]) == before
+        await mill.linuxcnc.do(["mode", "MODE_MDI"], ["wait"])
+
+
 async def test_an_operators_own_offset_stays_and_the_retreat_leaves_it(mill: Mill) -> None:
     await mill.write({"Z": 3.0})
     before = await mill.stands_mm()
