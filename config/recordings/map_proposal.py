@@ -111,7 +111,8 @@ class MapProposal:
         lines += [f"# {key}:" for key in self.lacking]
         if self.left_out:
             lines.append(f"# Columns that the map leaves out: {self.named_left_out()}")
-        return "\n".join(lines) + "\n" + yaml.safe_dump(self.keys, sort_keys=False, allow_unicode=True, width=100)
+        known = yaml.safe_dump(self.keys, sort_keys=False, allow_unicode=True, width=100) if self.keys else ""
+        return "\n".join(lines) + "\n" + known
 
     def named_left_out(self) -> str:
         """Return the names of the columns that are left out; those that are numbers together."""

@@ -106,6 +106,10 @@ def test_what_no_name_tells_is_lacking_and_never_guessed() -> None:
     assert found.lacking == ("temperatures", "displacements")
     assert found.left_out == ("foo", "power [kW]", "z [mm]")
     assert "No column seems to be the temperatures; write it yourself" in found.yaml()
+    filled_in = propose_map(["foo", "bar"], rows("a", "b", fields=2)).yaml()
+    for key, value in {"time": "foo", "temperatures": "[foo]", "displacements": "[bar]"}.items():
+        filled_in = filled_in.replace(f"# {key}:", f"{key}: {value}")
+    assert parse_yaml_model(filled_in, RecordingMap, "map.yaml").time == "foo"
 
 
 def test_a_dead_column_is_left_out_for_what_it_holds_and_not_for_its_name() -> None:
