@@ -1,6 +1,8 @@
 """Which ridges enter the default model: those that predict what was left out, and no other."""
 
+import re
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,6 +17,8 @@ from models.thermal.training.folds import inner_folds
 from models.thermal.training.gaussian_member import GaussianMember
 from models.thermal.training.inputs import Inputs, build_inputs
 from models.thermal.training.lags import part_of, widened
+from models.thermal.training.prepared import prepare
+from models.thermal.training.recipes import RECIPES
 from models.thermal.training.ridge_member import DEPARTURES, LEVELS, RidgeMember
 from models.thermal.training.train_family import FamilyTraining, train_family
 
@@ -235,3 +239,19 @@ def test_a_channel_that_the_sensors_tell_well_does_not_pay_for_one_of_which_they
         assert ("y, by itself, has" in found.choice.why) == (some[0].displacement_names == ("y", "z"))
         left_um.append(found.trust.band_um[0])
     assert left_um[0] < 1.3 * left_um[1]
+
+
+def test_what_the_solutions_of_a_model_hold_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The daemon holds them all: where that is too much, the channels that gain most have members of their own."""
+    runs = []
+    for seed in range(6):
+        run = unlike(seed)
+        y_um, z_um = run.displacements_um.T
+        noise_um = np.random.default_rng(seed).normal(0.0, 0.03, len(y_um))
+        um = np.column_stack([y_um + noise_um, y_um, z_um])
+        runs.append(replace(run, displacement_names=("noisy", "y", "z"), displacements_um=um))
+    recipe = replace(RECIPES["default"], prepare=partial(ChosenProblem, ("ridge", "lags")))
+    monkeypatch.setattr("models.thermal.training.choice.MOST_NUMBERS", 2 * SENSORS**2)
+    problem = prepare(runs, 60.0, recipe).problem
+    assert isinstance(problem, ChosenProblem)
+    assert re.findall(r"(\w+), by itself, has", problem.choice.why) == ["y"]  # not the noisy one as well

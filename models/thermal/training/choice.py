@@ -39,6 +39,7 @@ from models.thermal.training.left_out_errors import (
     rmse_um,
 )
 from models.thermal.training.mixing import even_weights, mean_weights
+from models.thermal.training.ridge import MOST_COLUMNS
 from models.thermal.training.ridge_member import (
     DEPARTURES,
     LEVELS,
@@ -61,6 +62,9 @@ MIXED_BETTER = 1.0
 """By so many the mean of processes and ridges must be better than that of one kind: it is the best of more trials."""
 OWN_BETTER = 2.0
 """By so many members of a channel's own must be better than those of all channels: every channel is a trial more."""
+MOST_NUMBERS = 2_500_000
+"""All solutions together hold no more, so that a model is 10 MiB in the daemon: with 302 sensors eight of them; the
+channels that gain most then have members of their own."""
 FEWEST_TO_PART = 5
 """Of so many runs or cycles left out at least: the error of a difference of four is itself known too badly."""
 WATCH_IS_WORTH = 0.02
@@ -256,20 +260,20 @@ class ChosenProblem:
         ridges, _ = self._made
         if self._independent < FEWEST_TO_PART or chosen.errors is None or not chosen.members or not ridges:
             return None
-        why, used = [], []
-        for channel, name in enumerate(self._inputs.channels):
-            all_alike = replace(chosen, errors=of_channel(chosen.errors, channel))
-            own = self._best_of_channel(channel)
-            better = clearly_less(own, all_alike)
-            if better:
-                shares = f"{own.score:.1%} of its left-out error in place of {all_alike.score:.1%}"
-                why.append(f"{name}, by itself, has {own.family}, which leaves {shares}, clearly less")
-            used.append(own if better else all_alike)
+        names = self._inputs.channels
+        used = [replace(chosen, errors=of_channel(chosen.errors, channel)) for channel in range(len(names))]
+        own, why = [self._best_of_channel(channel) for channel in range(len(names))], {}
+        for channel in sorted(range(len(names)), key=lambda channel: own[channel].score - used[channel].score):
+            tried = [own[channel] if channel == place else other for place, other in enumerate(used)]
+            if clearly_less(own[channel], used[channel]) and _numbers(_of_each(tried)) <= MOST_NUMBERS:
+                shares = f"{own[channel].score:.1%} of its left-out error in place of {used[channel].score:.1%}"
+                said = f"{names[channel]}, by itself, has {own[channel].family}, which leaves {shares}, clearly less"
+                used, why[channel] = tried, said
         if not why:
             return None
         left = beside([one.errors for one in used if one.errors is not None])
         far, family = min(ridges, key=_score), f"{chosen.family} and channels by themselves"
-        return _mean(family, _of_each(used), left, self._inputs, self._rows, far), "; ".join(why)
+        return _mean(family, _of_each(used), left, self._inputs, self._rows, far), "; ".join(why.values())
 
     def _best_of_channel(self, channel: int) -> _Tried:
         """Return what would be chosen if there were one channel alone."""
@@ -402,6 +406,12 @@ def _of_each(used: Sequence[_Tried]) -> list[tuple[Member, FloatArray]]:
             penalty = member.penalty if isinstance(member, RidgeMember) else 0.0
             kept.setdefault((member.name, penalty), (member, np.zeros(len(used))))[1][channel] += weight
     return [*kept.values()]
+
+
+def _numbers(kept: Sequence[tuple[Member, FloatArray]]) -> int:
+    """Return how many numbers the directions of the members hold in one layout, in the model that the daemon loads."""
+    columns = joint_layout([one.layout for one, _ in kept]).columns
+    return columns * sum(min(one.layout.columns, MOST_COLUMNS) for one, _ in kept)
 
 
 def _named(name: str, speed: bool) -> str:
