@@ -205,13 +205,15 @@ def test_an_answer_that_refuses_names_what_to_look_at_and_hides_what_is_secret(
     pki: Path, status: int, word: str
 ) -> None:
     with web_server(status=status, headers={"Location": "http://127.0.0.1:1/"}) as posts:
-        posts.body = f"no: Bearer {PASSWORD} at {posts.url}\x1b[2J".encode()
+        hook = posts.url.replace("/hooks/42", "/hooks/T0Qx7%20Zk?key=s3cr3tKey")
+        posts.body = f"no: Bearer {PASSWORD} at {hook}, Cannot POST /hooks/T0Qx7%20Zk: T0Qx7 Zk, s3cr3tKey\x1b[2J".encode()
         address = pki / f"address{status}"
-        address.write_text(posts.url)
+        address.write_text(hook)
         address.chmod(0o600)
         said = refusal(web_sink(None, url_file=address))
-        assert f"it answers {status}" in said and word in said
-        assert "hooks/42" not in said and "\x1b" not in said and len(posts.asked) == 1
+        assert f"it answers {status} no: Bearer" in said and word in said
+        secret = ("T0Qx7", "s3cr3tKey", "\x1b")
+        assert not [each for each in secret if each in said] and len(posts.asked) == 1, "servers repeat parts of it, too"
 
 
 # --- servers that do not answer as they should ----------------------------------------------

@@ -14,7 +14,7 @@ LONGEST_ANSWER = 200
 def answer(text: object, *secrets: str) -> str:
     """Return what a server said, on one line, bounded, without what it must not repeat."""
     words = " ".join(str(text).split())
-    for each in secrets:
+    for each in filter(None, secrets):
         words = words.replace(each, "...")
     return printable(words)[:LONGEST_ANSWER]
 

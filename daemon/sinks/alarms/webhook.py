@@ -2,8 +2,9 @@
 
 import http.client
 import json
+import re
 import ssl
-from urllib.parse import urlsplit
+from urllib.parse import unquote, urlsplit
 
 from config.schema.sinks import SinkConfig
 from config.secret_files import SecretError, read_secret
@@ -29,6 +30,8 @@ HINTS = {
 TAKEN_OR_NOT = (500, 504)
 """What a program answers that failed, perhaps after it had told people, or a proxy that waited for it in vain; a proxy
 that did not reach it answers 502."""
+LEAST_SECRET = 6
+"""Shorter parts of an address are words such as `api`, and secret to nobody [characters]."""
 MOST_BYTES = 4096
 """So much of an answer is read."""
 
@@ -55,9 +58,8 @@ class WebhookMessenger:
         except (OSError, ssl.SSLError, http.client.HTTPException, ValueError) as error:
             raise self._problem(_refusal(error)) from None
         if not 200 <= status < 300:
-            hidden = (token, url.partition("://")[2]) if token else (url.partition("://")[2],)
             hint = HINTS.get(status, "look at the server; it is tried again")
-            raise self._problem(f"it answers {status} {answer(said, *hidden)}".rstrip() + f": {hint}")
+            raise self._problem(f"it answers {status} {answer(said, token, *_parts(url))}".rstrip() + f": {hint}")
         return ""
 
     def _problem(self, text: str) -> SinkError:
@@ -84,6 +86,13 @@ class WebhookMessenger:
             self._unanswered = response.status in TAKEN_OR_NOT
             taken = 200 <= response.status < 300  # nothing that comes after this can undo it
             return response.status, "" if taken else response.read(MOST_BYTES).decode("utf-8", "replace")
+
+
+def _parts(url: str) -> list[str]:
+    """Return what of an address a server may repeat, the longest first: whoever knows path and query may post."""
+    address = url.partition("://")[2]
+    words = [each for each in re.split("[/?&=]", address.partition("/")[2]) if len(each) >= LEAST_SECRET]
+    return sorted({address, *words, *map(unquote, words)}, key=len, reverse=True)
 
 
 def _refusal(error: Exception) -> str:
