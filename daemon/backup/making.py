@@ -3,11 +3,12 @@
 import hashlib
 import io
 import os
+import shutil
 import sqlite3
 import tarfile
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -39,6 +40,8 @@ from daemon.history.database import HistoryError, connect_reader, schema_version
 from daemon.model_release.active import released
 
 BACKUP_MODE = 0o640
+LEFT_BEHIND_S = 86_400.0
+"""No back-up takes so long [s]."""
 
 
 def remove_old(folder: Path, machine: str, keep: int, spare: Path | None = None) -> list[Path]:
@@ -63,6 +66,7 @@ def make_backup(configuration: Configuration, config_path: Path, destination: Pa
     try:
         destination.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".toolpoint-backup-", dir=destination.parent) as work:
+            _remove_left_behind(Path(work))
             store = Path(work) / "history.sqlite"
             copy_store(configuration.history.path, store)
             sources = list(_sources(configuration, config_path, store))
@@ -77,6 +81,15 @@ def make_backup(configuration: Configuration, config_path: Path, destination: Pa
     finally:
         partial.unlink(missing_ok=True)
     return manifest
+
+
+def _remove_left_behind(work: Path) -> None:
+    """Remove what back-ups left that were killed in the middle: each has the size of the store."""
+    now_s = work.stat().st_mtime  # by the clock of the folder's server, as the others
+    for left in (*work.parent.glob(".toolpoint-backup-*"), *work.parent.glob(".toolpoint-*.tar.partial")):
+        with suppress(OSError):  # of another account, or removed by another back-up
+            if abs(left.lstat().st_mtime - now_s) > LEFT_BEHIND_S:
+                shutil.rmtree(left) if left.is_dir() else left.unlink()
 
 
 def copy_store(path: Path, destination: Path) -> None:

@@ -2,9 +2,14 @@
 
 import io
 import json
+import os
 import shutil
+import signal
 import sqlite3
+import subprocess
+import sys
 import tarfile
+import time
 from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
@@ -109,6 +114,32 @@ def test_a_backup_overwrites_nothing_and_leaves_nothing_half_done(installation):
         installation.backup("second.tar")
     assert sorted(p.name for p in installation.folder.iterdir()) == ["backup.tar", "etc", "models", "state"]
     assert read_manifest(path).store_schema >= 1
+
+
+def test_what_a_backup_leaves_that_was_killed_does_not_fill_the_disk(installation, tmp_path):
+    """A machine's main switch, or the end of the daemon, comes in the middle of a back-up again and again."""
+    folder = installation.folder / "backups"
+    folder.mkdir()
+    path = folder / backup_name("Mill 7 (hall)", datetime.now(UTC))
+    script = """
+import os, signal, sys
+from pathlib import Path
+from config.loader import load_configuration
+from daemon.backup import making
+making.write_archive = lambda partial, *_: (partial.write_bytes(b"half"), os.kill(os.getpid(), signal.SIGKILL))
+making.make_backup(load_configuration(Path(sys.argv[1])), Path(sys.argv[1]), Path(sys.argv[2]))
+"""
+    command = [sys.executable, "-P", "-c", script, installation.config_path, path]
+    assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
+    partial, work = sorted(folder.iterdir(), key=Path.is_dir)
+    assert partial.name == f".{path.name}.partial" and (work / "history.sqlite").is_file()
+    beside = installation.backup("backups/beside.tar")
+    assert partial.exists() and work.exists(), "another back-up may be being made"
+    for left, days in ((partial, 2), (work, -2)):
+        os.utime(left, (then_s := time.time() + 86_400.0 * days, then_s))
+    beside.unlink()
+    installation.backup("backups/beside.tar")
+    assert list(folder.iterdir()) == [beside]
 
 
 def test_a_link_in_the_place_of_the_half_done_backup_is_not_followed(installation, tmp_path):
