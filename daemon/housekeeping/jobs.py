@@ -19,7 +19,7 @@ from apscheduler.schedulers.asyncio import AsyncIOScheduler
 from config.schema import Configuration
 from config.schema.compensation import RetrainingConfig
 from config.schema.service import BackupConfig, HistoryConfig
-from daemon.backup.names import existing_backups
+from daemon.backup.names import backup_name, existing_backups
 from daemon.history.writer import HistoryWriter
 from daemon.model_release.active import proposals_folder
 from daemon.snapshots import JobSnapshot
@@ -215,9 +215,10 @@ class BackupJob(ScheduledProcess):
         self._backup = backup
 
     def due(self, now_utc_s: float) -> bool:
-        """Say whether there is no young back-up; one from the future, after a step of the clock, is none."""
-        ages_s = [now_utc_s - path.stat().st_mtime for path in existing_backups(self._backup.directory, self._machine)]
-        return not any(0.0 <= age_s < self._backup.every_hours * 3600.0 for age_s in ages_s)
+        """Say whether there is no young back-up by the names, as a share's clock may differ; one of the future is none."""
+        now = datetime.fromtimestamp(now_utc_s, UTC)
+        old, new = (backup_name(self._machine, now - timedelta(hours=h)) for h in (self._backup.every_hours, 0.0))
+        return not any(old < path.name <= new for path in existing_backups(self._backup.directory, self._machine))
 
     def arguments(self) -> Sequence[str]:
         """Return the words of `toolpoint backup`."""

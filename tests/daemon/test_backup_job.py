@@ -5,6 +5,7 @@ import json
 import os
 import threading
 import time
+from datetime import datetime
 
 import psutil
 from click.testing import CliRunner, Result
@@ -35,10 +36,12 @@ async def test_the_daemon_makes_one_when_the_newest_is_too_old(installation):
     assert said[0][0] == "backup" and str(made) in said[0][1] and "MiB" in said[0][1]
     await job.run_if_due()
     assert len(said) == 1, "the newest is young"
-    now_s = made.stat().st_mtime
+    now_s = datetime.strptime(made.stem[-16:], "%Y%m%dT%H%M%S%z").timestamp()
     (folder / "toolpoint-mill-7-hall-20990101T000000Z.tar").touch()
     os.utime(folder / "toolpoint-mill-7-hall-20990101T000000Z.tar", (4e9, 4e9))
-    assert job.due(now_s + 3601.0) and job.due(now_s - 5.0) and not job.due(now_s + 3599.0)
+    for server_s in (0.0, 7200.0, -7200.0):  # what the clock of a share says of its files does not count
+        os.utime(made, (now_s + server_s, now_s + server_s))
+        assert job.due(now_s + 3601.0) and job.due(now_s - 5.0) and not job.due(now_s + 3599.0)
 
 
 class SilentShare(BackupJob):
