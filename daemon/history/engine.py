@@ -112,7 +112,7 @@ class Engine:
         except HistoryError as error:
             self.refusal = error
             return
-        except sqlite3.Error as error:
+        except Exception as error:  # as in `_attempt`: else nothing is recorded any more, and nothing says so
             self._fail(error)
         finally:
             self._opened.set()
@@ -228,7 +228,7 @@ class Engine:
                 now_ms = time.time_ns() // 1_000_000
                 told = self._identity.settle(connection, self._path, self._lost, self._kept(), now_ms)
                 self._learn_layouts(connection)
-            except (sqlite3.Error, HistoryError):
+            except Exception:
                 connection.close()
                 raise
             self._connection, self._log_inode, self._lost = connection, None, ""

@@ -159,5 +159,5 @@ class StoreIdentity:
         return f"the store {lost} while the daemon wrote it; {now}: {path}. What the other file holds is not in it"
 
     def _found(self, connection: sqlite3.Connection) -> str | None:
-        row = connection.execute("SELECT json FROM state WHERE key = ?", (KEY,)).fetchone()
+        row = connection.execute("SELECT json FROM state WHERE key = ? AND json_valid(json)", (KEY,)).fetchone()
         return None if row is None else str(json.loads(row[0]))

@@ -281,3 +281,18 @@ def test_a_store_that_another_writer_has_begun_anew_is_left_to_it(watched: Watch
     assert watched.acknowledged == [1, 2, 3]
     other.release()
     watched.until(lambda: 4 in watched.acknowledged)
+
+
+@pytest.mark.parametrize("damaged", ["""'"3f'""", "x'ff00'"])
+def test_a_store_whose_identity_is_damaged_is_written_all_the_same(watched: Watched, damaged: str) -> None:
+    watched.writer.close()
+    with closing(sqlite3.connect(watched.store)) as connection:
+        connection.execute(f"UPDATE state SET json = {damaged} WHERE key = 'store_id'")
+        connection.commit()
+    again = Watched(watched.store)
+    again.writer.start()
+    again.cycles(4, 4)
+    delete_all(watched.store)
+    again.cycles(5, 5)
+    again.writer.close()
+    assert numbers_in(watched.store) == [5] and again.problems[-1] == ""
