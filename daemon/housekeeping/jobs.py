@@ -215,7 +215,7 @@ class BackupJob(ScheduledProcess):
         self._backup = backup
 
     def due(self, now_utc_s: float) -> bool:
-        """Say whether there is no young back-up by the names, as a share's clock may differ; one of the future is none."""
+        """Say whether no back-up is young by its name, as a share may have another clock; one of the future is none."""
         now = datetime.fromtimestamp(now_utc_s, UTC)
         old, new = (backup_name(self._machine, now - timedelta(hours=h)) for h in (self._backup.every_hours, 0.0))
         return not any(old < path.name <= new for path in existing_backups(self._backup.directory, self._machine))
