@@ -80,6 +80,8 @@ class BridgeLink:
             async with asyncio.timeout(END_PATIENCE_S):
                 await self._process.wait()
         except TimeoutError:
-            with contextlib.suppress(ProcessLookupError):
+            with contextlib.suppress(
+                ProcessLookupError, PermissionError
+            ):  # by sudo it is another user's: it ends itself
                 os.killpg(self._process.pid, signal.SIGKILL)
-            await self._process.wait()
+                await self._process.wait()

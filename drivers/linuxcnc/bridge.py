@@ -7,6 +7,7 @@ inputs and outputs, `write` with pairs of input and value. It ends when its inpu
 
 import json
 import os
+import signal
 import sys
 import time
 import zlib
@@ -15,6 +16,8 @@ from typing import Any
 
 START_S = 0.5
 """LinuxCNC's status is empty for so long at most after its start [s]."""
+HANGS_AFTER_S = 60
+"""A request takes less, or LinuxCNC hangs; then the bridge ends, which its daemon, another user, may not do [s]."""
 COORDINATE_SYSTEMS = (540, 550, 560, 570, 580, 590, 591, 592, 593)
 """G54 to G59.3 as the status has them among the active codes."""
 
@@ -128,6 +131,7 @@ def main() -> int:
     try:
         for line in sys.stdin:
             request = json.loads(line)
+            signal.alarm(HANGS_AFTER_S)
             try:
                 if bridge is None:
                     bridge = Bridge(request)
@@ -138,6 +142,7 @@ def main() -> int:
                 answer = {"error": str(error)}
             talk.write(json.dumps({"id": request["id"], **answer}) + "\n")
             talk.flush()
+            signal.alarm(0)
             if "error" in answer:
                 return 1
     finally:

@@ -140,8 +140,9 @@ async def test_another_start_is_another_power_on_and_a_bridge_that_hangs_is_a_lo
     after = await cnc.read([500])
     assert after.power_on_count != before.power_on_count and after.clock_s < before.clock_s + 60
     await cnc.close()
-    slow = LinuxcncCnc(section(linuxcnc={"command": ["/bin/sleep", "30"]}, timeout_s=0.3), SystemClock())
-    with pytest.raises(LinkError):
+    command = ["/bin/sh", "-c", "sleep 30"]
+    slow = LinuxcncCnc(section(linuxcnc={"command": command}, timeout_s=0.3), SystemClock())
+    with pytest.raises(LinkError, match="did not answer within"):
         await slow.connect()
     none = LinuxcncCnc(section(linuxcnc={"command": ["/nowhere/python3"]}), SystemClock())
     with pytest.raises(FatalDriverError, match=r"cnc\.linuxcnc\.command: /nowhere/python3 cannot be started"):

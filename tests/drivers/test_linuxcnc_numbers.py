@@ -1,5 +1,13 @@
 """Numbers that LinuxCNC does not have itself: of programs, of work offsets, of pins; and whose guard its text is."""
 
+import errno
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -8,6 +16,7 @@ from scripted_machine import cnc_config, configuration
 
 from config.schema import Configuration
 from config.schema.compensation import AxisConfig
+from drivers.bridge_link import BridgeLink
 from drivers.guard.linuxcnc import linuxcnc_text
 from drivers.guard.programs import guard_text
 from drivers.guard.text import GuardTextError
@@ -53,3 +62,34 @@ def test_a_counter_that_has_no_pin_is_refused_and_not_silently_never_counted(tmp
     Configuration.model_validate(said)
     with pytest.raises(ValidationError, match=r"#561 has no pin of LinuxCNC.*handshake"):
         Configuration.model_validate(said | {"cnc": cnc_config(linuxcnc={}).model_dump(exclude_none=True)})
+
+
+async def test_a_bridge_that_the_daemon_may_not_end_keeps_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By sudo it is another user's: the system says so, and the link is closed all the same."""
+    link, groups = await BridgeLink.start(["/bin/sh", "-c", "sleep 30"], "", "LinuxCNC", ""), []
+
+    def not_permitted(group: int, _signal: int) -> None:
+        groups.append(group)
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "killpg", not_permitted)
+        link.abort("closed")
+        await link.ended()
+    os.killpg(*groups, signal.SIGKILL)
+    await link.ended()
+
+
+def test_a_bridge_in_which_linuxcnc_hangs_ends_itself(tmp_path: Path) -> None:
+    """Nobody else may, where it runs as LinuxCNC's user by sudo."""
+    shutil.copy("/bin/sleep", tmp_path / "milltask")
+    (tmp_path / "linuxcnc.py").touch()
+    (tmp_path / "hal.py").write_text("import time\ndef component(name):\n    time.sleep(20)\n")
+    text = files("drivers.linuxcnc").joinpath("bridge.py").read_text("utf-8")
+    text = text.replace("HANGS_AFTER_S = 60", "HANGS_AFTER_S = 1")
+    command, environment = [sys.executable, "-c", text], {"PYTHONPATH": str(tmp_path)}
+    with subprocess.Popen([tmp_path / "milltask", "20"]) as milltask:
+        first = json.dumps({"id": 1, "nml_file": "none.nml", "clock": 0}) + "\n"
+        ended = subprocess.run(command, check=False, input=first, text=True, env=environment, timeout=15)
+        milltask.kill()
+    assert ended.returncode == -signal.SIGALRM
