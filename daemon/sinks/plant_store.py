@@ -13,6 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import paho.mqtt.client as paho
@@ -24,6 +25,7 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 from psycopg import errors
 
+from config.files import read_whole, write_whole
 from config.schema.plant_store import PlantStoreConfig, SubscriptionConfig
 from daemon.sinks.broker import STORE_PROPERTY, set_credentials
 from daemon.sinks.broker_refusals import closed_at_once, lost, no_acknowledgement, reason, refusal, two_computers
@@ -45,6 +47,8 @@ PING_PERIOD_S = 20
 LOOK_PERIOD_S = 0.5
 TELL_PERIOD_S = 5.0
 """How often the service manager hears that the process works, and how it fares."""
+LESS_PERIOD_S = 60.0
+"""How often it is looked whether the database has less than was put there, and what was put there is kept."""
 LEFT_OUT_NAMED, LEFT_OUT_PERIOD_S = 10, 60.0
 LONGEST_NAME = 200
 LARGEST_MESSAGE = 1 << 18
@@ -256,15 +260,26 @@ class PlantStore:
     """Takes from a broker and stores until it is told to stop, however often that fails."""
 
     def __init__(
-        self, config: PlantStoreConfig, stop: threading.Event, tell: Callable[[str], None] = lambda _status: None
+        self,
+        config: PlantStoreConfig,
+        stop: threading.Event,
+        tell: Callable[[str], None] = lambda _status: None,
+        kept: Path | None = None,
     ) -> None:
-        """`tell` gets a sentence now and then while it works, on what it does or what keeps it from that."""
+        """`tell` gets a sentence now and then while it works, on what it does or what keeps it from that.
+
+        `kept` is the file that says to the next run what was put there, so that it notices a database that was
+        restored meanwhile.
+        """
         self._config, self._stop, self._tell = config, stop, tell
         self._told_s, self._taken, self._left_out = float("-inf"), 0, _LeftOut()
         self._retry = Retry()
         self._said = ""
         self._same_name = SameName()
-        self._newest: Newest = {}
+        self._kept = kept
+        self._newest: Newest = {} if kept is None else _read_kept(kept)
+        self._known = dict(self._newest)
+        self._looked_s = time.monotonic()
         self._less: list[str] = []
         """Machines of which the database has lost what was put there."""
 
@@ -297,9 +312,22 @@ class PlantStore:
                     subscription.acknowledge(messages)
                     self._retry.works()
                     self._said = ""
+                if time.monotonic() - self._looked_s >= LESS_PERIOD_S:
+                    self._look_for_less(database)
         finally:
+            self._keep()
             subscription.close()
             database.close()
+
+    def _keep(self) -> None:
+        """Write the newest times for the next run where they have changed; what was lost with a database goes on."""
+        if self._kept is None or not self._newest or self._newest == self._known:
+            return
+        self._known = dict(self._newest)
+        try:
+            write_whole(self._kept, json.dumps([[*key, ms] for key, ms in sorted(self._known.items())]), 0o600)
+        except OSError as error:
+            log.warning("store.unwritten", path=str(self._kept), problem=str(error))
 
     def _open(self, database: Database) -> None:
         """Open the database; the service manager would end a process that says nothing while its tables change."""
@@ -322,6 +350,7 @@ class PlantStore:
 
         What a machine's own sink sends there too is that one's to notice.
         """
+        self._looked_s = time.monotonic()
         try:
             found = database.connection.execute(
                 "SELECT machine, stream, "
@@ -336,6 +365,7 @@ class PlantStore:
             self._newest = {}
             self._less = sorted(lost.union(self._less))
             log.error("store.less", problem=less_than_stored(self._less))
+        self._keep()
 
     def _works(self) -> None:
         if time.monotonic() - self._told_s >= TELL_PERIOD_S:
@@ -384,6 +414,14 @@ class PlantStore:
             if isinstance(error, errors.NotNullViolation) and column not in row.stream.columns:
                 raise  # a column of somebody's own, which no row has: they wait
             self._left_out.add(f"{row.stream.name} of {row.machine}", _said(error))
+
+
+def _read_kept(path: Path) -> Newest:
+    """Return what a file of an earlier run says; nothing where there is none that can be read."""
+    try:
+        return {(str(machine), str(stream)): int(ms) for machine, stream, ms in json.loads(read_whole(path))}
+    except (OSError, ValueError, TypeError, RecursionError):
+        return {}
 
 
 def store_status(config: PlantStoreConfig) -> dict[str, Any]:

@@ -197,11 +197,13 @@ def test_a_kept_session_is_at_work_with_its_first_row_not_when_the_broker_answer
 
 
 def test_a_database_that_was_restored_behind_the_broker_is_noticed_with_the_machines(
-    server: Server, tmp_path: Path
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("daemon.sinks.plant_store.TELL_PERIOD_S", 0.2)
     broker, stop, told = plant_broker(tmp_path), threading.Event(), list[str]()
     broker.start()
-    plant_store = PlantStore(section(server, broker.port, tmp_path), stop, told.append)
+    kept = tmp_path / "newest.json"
+    plant_store = PlantStore(section(server, broker.port, tmp_path), stop, told.append, kept)
     plant_store._retry.after_failure = lambda: 0.1
     thread = threading.Thread(target=plant_store.run)
 
@@ -226,6 +228,15 @@ def test_a_database_that_was_restored_behind_the_broker_is_noticed_with_the_mach
         broker.kill()
         broker.start()
         until(lambda: any("`database` has less of mill/7 than this store had put there" in each for each in told))
+        until(lambda: plant_store._newest, publish)
+        stop.set()
+        thread.join()
+        server.ask("UPDATE toolpoint.deliveries SET newest = newest - interval '1 day' RETURNING 1")  # and once more
+        stop.clear()
+        told.clear()
+        thread = threading.Thread(target=PlantStore(plant_store._config, stop, told.append, kept).run)
+        thread.start()
+        until(lambda: any("`database` has less of mill/7" in each for each in told))
     finally:
         stop.set()
         thread.join()

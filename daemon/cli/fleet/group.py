@@ -1,5 +1,6 @@
 """`toolpoint fleet`: many machines together."""
 
+import os
 import signal
 import sys
 import tempfile
@@ -141,7 +142,8 @@ def store(config_path: Path, status: bool, late_s: float, json_path: str | None)
     stop = set_by_signals(signal.SIGTERM, signal.SIGINT)
     manager = ServiceManager()
     manager.ready("storing")
-    PlantStore(config, stop, manager.watchdog).run()
+    folder = os.environ.get("STATE_DIRECTORY")  # from the unit
+    PlantStore(config, stop, manager.watchdog, Path(folder) / "newest.json" if folder else None).run()
 
 
 def _say_status(config: "PlantStoreConfig", late_s: float, json_path: str | None) -> None:
