@@ -28,7 +28,7 @@ import pytest_asyncio
 from control_rig import HandClock, Rig, record_for, running
 from memory_cnc import MemoryNc
 from monitor_bench import PASSWORD, MonitorBench, accounts_file, monitor, parts_of
-from playwright.async_api import Browser, Page, async_playwright, expect
+from playwright.async_api import Browser, Page, Route, async_playwright, expect
 from sloped_machine import TRAVEL_MM, configured, content, proved
 from speed_rig import SAFE, SpeedRig
 
@@ -501,6 +501,33 @@ async def test_the_page_lives_on_after_a_restart_and_takes_the_pages_of_another_
         await expect(seen.page.locator("#stale")).to_be_hidden(timeout=PATIENCE_MS)
         again.cancel()
         await asyncio.gather(again, return_exceptions=True)
+
+
+async def test_a_late_answer_fills_no_other_page_and_a_page_that_failed_is_asked_for_again(tmp_path):
+    asked, answer = asyncio.Event(), asyncio.Event()
+
+    async def late(route: Route) -> None:
+        asked.set()
+        await answer.wait()
+        await route.continue_()
+
+    async with monitor(tmp_path) as bench, overview(f"http://127.0.0.1:{bench.port}/") as seen:
+        main = seen.page.locator("main")
+        await seen.page.route("**/api/v1/models", late)
+        await seen.page.goto(f"{seen.base}#/models")
+        await asked.wait()
+        assert "daemon" in await main.evaluate("main => getComputedStyle(main.firstElementChild, '::before').content")
+        await seen.open("overview")
+        async with seen.page.expect_response("**/api/v1/models"):
+            answer.set()
+        assert await main.locator("h1").all_inner_texts() == ["Overview"]
+        await bench.rig.active()
+        await expect(seen.page.locator("#state")).to_contain_text("ACTIVE")
+        await seen.page.route("**/api/v1/sensors", lambda route: route.abort())
+        await seen.page.goto(f"{seen.base}#/temperatures")
+        await expect(main).to_contain_text("tried again by itself")
+        await seen.page.unroute("**/api/v1/sensors")
+        await expect(main).to_contain_text("Chosen temperatures")
 
 
 async def log_in(seen: Watched, name: str) -> None:

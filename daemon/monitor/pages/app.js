@@ -8,7 +8,10 @@ import { act, who, Refused } from "./api.js";
 const $ = (id) => document.getElementById(id);
 const ALL = [...PAGES, MESSAGES];
 const MODULES = Object.fromEntries(ALL.map(([name]) => [name, () => import(`./parts/${name}.js`)]));
+const AGAIN_MS = 2000;
 let shown = null;
+let visits = 0;
+let failed_ms = Infinity;
 let person = null;
 
 // --- pages -----------------------------------------------------------------------------
@@ -27,23 +30,27 @@ function navigation() {
 }
 
 async function show() {
-  const name = wanted();
+  const name = wanted(), visit = ++visits, place = h("div", {}); // what comes when the person has gone on goes to no other page
   navigation();
   shown?.leave?.();
   shown = null;
-  const place = $("page");
+  failed_ms = Infinity;
+  $("page").replaceChildren(place);
+  $("page").dataset.page = name;
   try {
     const module = await MODULES[name]();
-    if (wanted() !== name) return;
-    place.replaceChildren();
-    place.dataset.page = name;
-    shown = await module.page(place, context) ?? {};
-    shown.name = name;
+    const made = visit === visits ? await module.page(place, context) ?? {} : {};
+    if (visit !== visits) return made.leave?.();
+    shown = made;
     if (live.status) shown.status?.(live.status);
   } catch (error) {
-    if (error instanceof Refused && error.status === 401) login();
-    place.replaceChildren(h("section", { class: "card absent" }, h("h1", {}, "This page cannot be shown"), h("p", {}, error.message)));
-    if (!(error instanceof Refused)) console.error(error);
+    if (visit !== visits) return;
+    const refused = error instanceof Refused;
+    if (refused && error.status === 401) login();
+    if (!refused) failed_ms = performance.now();
+    place.replaceChildren(h("section", { class: "card absent" }, h("h1", {}, "This page cannot be shown"), h("p", {}, error.message),
+      !refused && h("p", {}, "It is tried again by itself as soon as the daemon answers.")));
+    if (!refused) console.error(error);
   }
   title();
 }
@@ -61,6 +68,7 @@ live.addEventListener("status", ({ detail: status }) => {
   put($("foot"), `Toolpoint ${status.version ?? ""}`,
     status.clock_speed !== 1 ? ` · a simulation, ${status.clock_speed} times as fast as the clock on the wall` : "",
     ` · the machine's time is ${clock(status.time, { date: true })} · `, h("a", { href: "#/messages" }, "messages"), " · ", h("a", { href: "/openapi.json" }, "API"), " · ", h("a", { href: "/metrics" }, "metrics"));
+  if (performance.now() - failed_ms > AGAIN_MS) show();
   shown?.status?.(status);
   title();
 });
