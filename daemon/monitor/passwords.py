@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 
 from daemon.monitor.accounts import Account, hashed, verified
+from daemon.rate_limit import RateLimit
 
 MOST_FAILURES = 5
 FAILURE_WINDOW_S = 60.0
@@ -15,6 +16,9 @@ FAILURE_WINDOW_S = 60.0
 MOST_ADDRESSES = 4096
 MOST_NAME = 64
 """No account's name is longer; of one that is, no more is kept and told."""
+TOLD_S = 600.0
+"""Ten wrong passwords within this time stand in the audit one by one, which is kept for years; the others as a number
+[s]."""
 
 
 class WrongPasswordError(Exception):
@@ -28,6 +32,17 @@ class TooManyWrongError(WrongPasswordError):
         """`wait_s`: so long [s]."""
         super().__init__(f"too many wrong passwords for this account or from this address; try again in {wait_s:.0f} s")
         self.wait_s = wait_s
+
+
+def wrong_passwords(report: Callable[[str, str, str | None], object]) -> RateLimit[tuple[str, str]]:
+    """Return what puts sentences on wrong passwords, with the address, into the audit: few, however many guess."""
+
+    def say(wrong: tuple[str, str], left_out: int) -> None:
+        sentence, address = wrong
+        more = f", and {left_out} times more since the one before" if left_out else ""
+        report("access", f"{sentence}{more}", address)
+
+    return RateLimit(say, period_s=TOLD_S)
 
 
 class Passwords:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from daemon.monitor.accounts import MOST_PASSWORD, Accounts, Role
-from daemon.monitor.passwords import MOST_NAME, Passwords, TooManyWrongError, WrongPasswordError
+from daemon.monitor.passwords import MOST_NAME, Passwords, TooManyWrongError, WrongPasswordError, wrong_passwords
 from drivers.opcua.server.settings import LoginRefusedError
 
 Report = Callable[[str, str, str | None], object]
@@ -32,7 +32,7 @@ class AccountUsers:
 
     def __init__(self, accounts: Accounts, report: Report) -> None:
         self._accounts, self.report = accounts, report
-        self._passwords = Passwords()
+        self._passwords, self._wrong = Passwords(), wrong_passwords(report)
 
     async def login(self, name: str, password: str, address: str) -> OpcUaPerson:
         """Return the person; raises LoginRefusedError."""
@@ -46,7 +46,7 @@ class AccountUsers:
         except TooManyWrongError as error:
             raise LoginRefusedError(str(error)) from error
         except WrongPasswordError as error:
-            self.report("access", f"wrong name or password over OPC UA ({name[:MOST_NAME]!r})", address)
+            self._wrong((f"wrong name or password over OPC UA ({name[:MOST_NAME]!r})", address))
             raise LoginRefusedError(str(error)) from error
         person = OpcUaPerson(name=name, role=account.role, address=address, password_hash=account.password_hash)
         self.report("access", "logged in over OPC UA", person.in_audit)

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 from fastapi import Depends, Request
 
 from daemon.monitor.accounts import Accounts, Role
-from daemon.monitor.passwords import MOST_NAME, Passwords, TooManyWrongError, WrongPasswordError
+from daemon.monitor.passwords import MOST_NAME, Passwords, TooManyWrongError, WrongPasswordError, wrong_passwords
 from daemon.monitor.web.problems import ProblemError
 
 IDLE_S = 1800.0
@@ -66,7 +66,7 @@ class Access:
 
     def __post_init__(self) -> None:
         """Prepare the check of passwords."""
-        self._passwords = Passwords(self.now_s)
+        self._passwords, self._wrong = Passwords(self.now_s), wrong_passwords(self.report)
 
     @property
     def cookie(self) -> str:
@@ -102,7 +102,7 @@ class Access:
             retry = {"retry-after": str(int(error.wait_s) + 1)}
             raise ProblemError(429, str(error), retry) from error
         except WrongPasswordError as error:
-            self.report("access", f"wrong name or password for the monitor ({name[:MOST_NAME]!r})", address)
+            self._wrong((f"wrong name or password for the monitor ({name[:MOST_NAME]!r})", address))
             raise ProblemError(401, str(error)) from error
 
     def _known(self) -> Any:
