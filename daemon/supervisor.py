@@ -147,8 +147,8 @@ async def _once(
     health.went_down(problem, utc_s())
     if told_to_end():
         raise asyncio.CancelledError  # a client's library has taken the cancellation for a lost connection
-    if must_be_repaired:
-        await asyncio.sleep(backoff.draw())
     if loop.time() - started_s > STEADY_S:
         backoff.reset()
+    if must_be_repaired:
+        await asyncio.sleep(backoff.draw())
     await asyncio.sleep(backoff.draw())

@@ -3,8 +3,10 @@
 import asyncio
 import contextlib
 
+import pytest
 import structlog
 
+from daemon import supervisor
 from daemon.supervisor import Backoff, LinkHealth, run_with_reconnect
 from drivers.contract import DriverError, FatalDriverError, LinkError
 
@@ -119,6 +121,24 @@ async def test_a_link_that_a_person_must_repair_is_down_while_it_waits():
         await lost.wait()
     await asyncio.sleep(0)
     assert (health.up, health.problem) == (False, "wrong password")
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+
+
+async def test_what_a_person_must_repair_is_tried_ever_more_rarely(monkeypatch):
+    """The longer wait is none that the link has lived through: a wrong password is no reason to begin anew."""
+    monkeypatch.setattr(supervisor, "STEADY_S", 0.3)
+    backoff, attempts = Backoff(0.8, 0.8), asyncio.Semaphore(0)
+    monkeypatch.setattr(backoff, "reset", lambda: pytest.fail("its waits begin anew"))
+
+    async def attempt():
+        attempts.release()
+        raise FatalDriverError("wrong password")
+
+    task = asyncio.create_task(run_with_reconnect(LinkHealth("made up"), attempt, backoff))
+    for _ in range(2):
+        await asyncio.wait([task, asyncio.create_task(attempts.acquire())], return_when=asyncio.FIRST_COMPLETED)
+    assert not task.done(), task.exception()
     task.cancel()
     await asyncio.gather(task, return_exceptions=True)
 
