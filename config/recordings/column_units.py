@@ -17,7 +17,7 @@ _SPELLINGS = {
     "degF": r"°\s*f|℉|deg\s*_?f|f|fahrenheit",
     "K": r"k|kelvin",
     "1/min": r"rpm|1/min|min-1|min\^-1|[ur]/min",
-    "krpm": r"krpm|1000\s*(?:rpm|1/min)|10\^?3\s*(?:rpm|1/min)",
+    "krpm": r"krpm|x?\s*(?:1000|10\^?3|10³)\s*(?:[ur]?/\s*min|rpm|1/min)",
     "1/s": r"1/s|rps|rev/s|hz",
     "rad/s": r"rad/s",
     "%": r"%|percent|prozent",
@@ -32,6 +32,9 @@ _OF_A_MAP = {
     "temperatures": ("degC", "degF"),
 }
 """Units that a map can say, and a name may contradict; K is not among them, as rises in K are rises in degC."""
+_THOUSANDS = r"\d{1,3}(?:['\u2019\s]\d{3})+(?:[.,]\d*)?|\d{1,3}(?:\.\d{3})+,\d*|\d{1,3}(?:,\d{3})+\.\d*"
+_WITH_THOUSANDS = re.compile(rf"[+-]?(?:{_THOUSANDS}|\d{{1,3}}([.,])\d{{3}}(?:\1\d{{3}})+)")
+"""A number with one mark before each three digits: twice, or beside the decimal mark."""
 _CLEAR_UNIT = re.compile(r"[\[(][^\[\]()]*[\])]\s*$|°|℉|℃|deg|fahrenheit|celsius", re.IGNORECASE)
 """A temperature's name tells its unit so: `T_F` may be in front."""
 TIMES = _OF_A_MAP["time"]
@@ -48,6 +51,11 @@ _KEYS = {
     "displacements": "displacement_units: {{{name!r}: {unit}}}",
     "temperatures": "temperature_units: {{{name!r}: {unit}}}",
 }
+
+
+def has_thousands(text: str) -> bool:
+    """Return whether a text is a number with marks that separate thousands, and with nothing else."""
+    return _WITH_THOUSANDS.fullmatch(text) is not None
 
 
 def unit_of(text: str) -> str | None:

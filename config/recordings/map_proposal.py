@@ -8,15 +8,15 @@ in a model is worse than a missing one.
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from itertools import groupby, pairwise
 from statistics import median
 from typing import Any
 
 import yaml
 
-from config.recordings.column_units import RPM_PER_UNIT, TIMES, unit_in, unit_of
-from config.recordings.recording_map import UM_PER_UNIT, RecordingMap, are_days, fits
+from config.recordings.column_units import RPM_PER_UNIT, TIMES, has_thousands, unit_in, unit_of
+from config.recordings.recording_map import MILLISECONDS_FROM, UM_PER_UNIT, RecordingMap, are_days, fits
 from models.recordings.plausibility import HIGHEST_DEGC, LOWEST_DEGC
 
 _DATE = re.compile(r"\b(date|datum|tag|day|data|dato|fecha)\b|日付|年月日")
@@ -48,13 +48,16 @@ SMALL_UM = 1000.0
 """No axis moves and stays so near to zero ..."""
 FEWEST_SMALL = 10
 """... at so many different places."""
-_MOVES = re.compile(r"変位|displace|verlagerung|deviation|thermal.?error|\bweg\b|probe|^d[xyz]|^e[xyz]|^c\d+\b")
+_MOVES = re.compile(
+    r"変位|displace|\bdisp|taster|verlagerung|deviation|thermal.?error|\bweg\b|probe|^d[xyz]|^e[xyz]|^c\d+\b"
+)
 """Beside millimetres a displacement says so, or stays small; an axis position is in millimetres, too."""
 _OTHER_UNIT = re.compile(r"\bnm\b|\bkw\b|[\[(]\s*[wav]\s*[\])]|%|\bbar\b|\bhz\b|\bl/min\b")
 """One letter is a unit in brackets alone: `Temp A` is a temperature."""
-_TEMPERATURE = re.compile(r"温度|temp|thermo|pt ?100+|^tc ?\d+|^rtd|^t[a-z]? ?\d+$|^t ")
+_TEMPERATURE = re.compile(r"温度|temp|thermo|pt ?100+|^tc ?\d+|^rtd|^t[a-z]? ?\d+$|^d?t\d+\b|^t ")
 _DISPLACEMENT = re.compile(
-    r"変位|displace|verlagerung|deviation|thermal.?error|^weg\b|^[xyzabcuvw] ?\d*$|^d[xyz]\d*$|^e[xyz]\d*$|probe"
+    r"変位|displace|\bdisp([xyz]\d*)?\b|verlagerung|deviation|thermal.?error|^weg\b|^[xyzabcuvw] ?\d*$"
+    r"|\bd[xyz]\d*$|^e[xyz]\d*$|probe|taster"
 )
 _OF_12_HOURS = ("%I:%M:%S %p", "%I:%M %p")
 _OF_DAY = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", *_OF_12_HOURS)
@@ -83,6 +86,7 @@ FEWEST_NUMBERED = 4
 """So many columns that are called by a number are named together."""
 JAPANESE = ("温度", "変位", "時刻", "日時", "回転")
 """Words of recordings, by which their encoding is told."""
+_WITHOUT_THOUSANDS = "a mark separates thousands; export the file without such marks"
 _MILLISECONDS = re.compile(r"\bms(ec)?\b|_ms$|milli")
 
 
@@ -213,7 +217,8 @@ def _broken(columns: Mapping[str, Sequence[str]]) -> dict[str, str]:
 
 def _described(header: Sequence[str], units: Sequence[str]) -> dict[str, str]:
     """Return what is said of each column, in lower case: its name and its unit."""
-    joined = [f"{n} [{unit.strip(' []()')}]" for n, unit in zip(header, units, strict=False)] if units else header
+    whole = [*units, *[""] * (len(header) - len(units))]
+    joined = [f"{n} [{unit.strip(' []()')}]" for n, unit in zip(header, whole, strict=False)] if units else header
     return {name: text.lower().strip() for name, text in zip(header, joined, strict=False)}
 
 
@@ -269,6 +274,8 @@ def _time_keys(columns: dict[str, list[str]], described: dict[str, str], notes: 
                 joined = [f"{day} {text}" for day, text in zip(columns[date], columns[name], strict=True)]
                 if whole := _time_form(joined):
                     keys = {"time": name, "date": date, **whole}
+            if keys.get("time_format") in _OF_DAY:
+                return keys
             zone = "in UTC unless the map has a time_zone such as Europe/Zurich"
             if keys.get("time_format", "").startswith(("%d/", "%m/")):
                 of_day = keys.get("date", name)
@@ -285,23 +292,39 @@ def _time_keys(columns: dict[str, list[str]], described: dict[str, str], notes: 
     for name in (*times, *dates):
         found = [number for text in columns[name] if (number := _number(text)) is not None]
         if _numbers(columns[name]) and _increases(found) and (name in times or are_days(found)):
-            if are_days(found):
-                notes.append(f"{name!r} is taken to be in days, as spreadsheets count dates")
-                return {"time": name, "time_unit": "d"}
-            step = median(second - first for first, second in pairwise(found)) if len(found) > 1 else 0.0
-            return {"time": name, "time_unit": _unit(described[name], name, step, notes)}
-    for name in (*times, *dates):
-        if _time_form([*dict.fromkeys(columns[name])]) is not None:
-            notes.append(
-                f"{name!r} says the same time in rows one after the other: take one of two such rows out, or export "
-                "it with seconds where it has none"
-            )
-        elif columns[name] and not _numbers(columns[name]):
-            notes.append(
-                f"{name!r} holds {columns[name][0]!r}, a time of a form that is not known: say it as time_format, such "
-                "as '%d.%m.%Y %H:%M:%S'"
-            )
+            return {"time": name, "time_unit": _counted_in(found, described[name], name, notes)}
+    notes += [note for name in dict.fromkeys(times or dates) if (note := _no_time(name, columns[name]))]
     return {}
+
+
+def _counted_in(found: Sequence[float], said: str, name: str, notes: list[str]) -> str:
+    """Return the unit of times that are numbers: by what they are, else by what is said of them."""
+    if are_days(found):
+        notes.append(f"{name!r} is taken to be in days, as spreadsheets count dates")
+        return "d"
+    if MILLISECONDS_FROM < found[0] < 1000.0 * MILLISECONDS_FROM:
+        began = datetime.fromtimestamp(found[0] / 1000.0, UTC)
+        notes.append(f"{name!r} is taken to be milliseconds since 1970: the first row is of {began:%d %B %Y}")
+        return "ms"
+    step = median(second - first for first, second in pairwise(found)) if len(found) > 1 else 0.0
+    return _unit(said, name, step, notes)
+
+
+def _no_time(name: str, texts: Sequence[str]) -> str:
+    """Return why a column that is called like a time is none, '' where that is plain."""
+    if _time_form([*dict.fromkeys(texts)]) is not None:
+        return (
+            f"{name!r} says the same time in rows one after the other: take one of two such rows out, or export it "
+            "with seconds where it has none"
+        )
+    if with_marks := next(filter(has_thousands, texts), ""):
+        return f"{name!r} holds {with_marks!r}: {_WITHOUT_THOUSANDS}"
+    if not texts or _numbers(texts):
+        return ""
+    return (
+        f"{name!r} holds {texts[0]!r}, a time of a form that is not known: say it as time_format, such as "
+        "'%d.%m.%Y %H:%M:%S'"
+    )
 
 
 def _unit(said: str, name: str, step: float, notes: list[str]) -> str:
@@ -316,7 +339,7 @@ def _unit(said: str, name: str, step: float, notes: list[str]) -> str:
     if not re.search(r"\bs(e[ck]|econds?)?\b|_s\b|sekunden?", said):
         notes.append(
             f"{name!r} is taken to be in seconds{f', a row every {step:g} s' if step else ''}; its name does not say "
-            "so: where that is wrong, say time_unit: min, h or d"
+            "so: where that is wrong, say time_unit: ms, min, h or d"
         )
     return "s"
 
@@ -378,6 +401,8 @@ def _unread(name: str, texts: Sequence[str], missing: Sequence[str]) -> str:
     wrong = [(n, each) for n, each in enumerate(texts, 1) if each and each not in missing and _number(each) is None]
     row, text = wrong[0] if wrong else (1, texts[0])
     held = f"{text!r}" if text else "an empty field"
+    if has_thousands(text):
+        return f"{name!r} is left out: row {row} holds {held}; {_WITHOUT_THOUSANDS}"
     if not any(_number(each) is not None for each in texts):
         rows = f"none of its first {len(texts)} rows holds a number, row {row} {held}"
         return f"{name!r} is left out: {rows}; is its sensor broken?"

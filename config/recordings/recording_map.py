@@ -16,6 +16,7 @@ from config.recordings.column_units import contradiction
 from config.schema.base import KeyProblems, Seconds, Section
 from models.recordings.slopes import SLOPE_SUFFIX
 
+_OF_A_DATE = ("%d", "%j", "%D", "%x", "%c", "%Y", "%y", "%m", "%b", "%B", "%s")
 UM_PER_UNIT = {"um": 1.0, "mm": 1000.0, "in": 25400.0}
 TemperatureUnit = Literal["degC", "degF", "K"]
 DisplacementUnit = Literal["um", "mm", "in"]
@@ -93,8 +94,13 @@ class RecordingMap(Section):
 
     @property
     def local_times(self) -> bool:
-        """Times may be those of a wall clock whose zone the map does not say."""
-        return self.time_zone is None and (self.time_format is not None or self.time_unit == "iso")
+        """Times may be those of a wall clock whose zone the map does not say; a time of day alone has none."""
+        return self.time_zone is None and (self.time_unit == "iso" or self.has_dates)
+
+    @property
+    def has_dates(self) -> bool:
+        """The form of the times says a date."""
+        return any(part in (self.time_format or "") for part in _OF_A_DATE)
 
     def _time_problems(self) -> Iterator[tuple[str, str]]:
         of_text = self.time_format is not None or self.time_unit == "iso"
@@ -107,6 +113,8 @@ class RecordingMap(Section):
         if self.time_zone is not None:
             if not of_text:
                 yield "time_zone", f"a time in {self.time_unit} has no zone; leave it out"
+            elif self.time_unit != "iso" and not self.has_dates:
+                yield "time_zone", "a time of day without a date has no zone; leave it out, or name the column `date`"
             try:
                 ZoneInfo(self.time_zone)
             except (ValueError, OSError, ZoneInfoNotFoundError):
@@ -349,6 +357,8 @@ def _listed(names: Iterable[str]) -> str:
     return ", ".join(texts) if len(texts) <= 12 else ", ".join([*texts[:10], f"... ({len(texts)} in all)"])
 
 
+MILLISECONDS_FROM = 1e11
+"""A time of more is no seconds since 1970, but ms, from 1973 on."""
 _DAYS = (20_000.0, 80_000.0)
 """Dates as spreadsheets count them, from 1954 to 2119."""
 _DAY_STEP = 0.02

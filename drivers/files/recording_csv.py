@@ -18,8 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from config.files import write_whole
-from config.recordings.column_units import RPM_PER_UNIT
+from config.recordings.column_units import RPM_PER_UNIT, has_thousands
 from config.recordings.recording_map import (
+    MILLISECONDS_FROM,
     UM_PER_UNIT,
     ColumnError,
     Columns,
@@ -54,7 +55,6 @@ LONGEST_STEP_S = 27 * 24 * HOUR_S
 """A run goes on for hours; a day that is read as a month is farther off [s]."""
 LARGEST = 1e9
 """No sensor says more, in whatever unit; what stands for a missing value may."""
-_WITH_THOUSANDS = re.compile(r"[+-]?\d{1,3}(['\u2019\s]\d{3})+([.,]\d*)?")
 _WITH_UNIT = re.compile(r"[+-]?\d+([.,]\d*)?\s*([°℃℉%µμ]|[a-z])[a-z/]*", re.IGNORECASE)
 
 
@@ -216,12 +216,21 @@ def _rows(place: Place, lines: Iterator[str], form: _Form) -> tuple[FloatArray, 
 
 
 def _require_seconds(place: Place, times: list[float], form: _Form) -> None:
-    """Refuse dates as spreadsheets count them that are taken for seconds: hours of them would last a second."""
-    of_text = form.recording_map.time_format is not None or form.recording_map.time_unit != "s"
-    if not of_text and are_days(times):
+    """Refuse a time that counts something else than seconds: hours of it would last a second, or years."""
+    unit = form.recording_map.time_unit
+    if form.recording_map.time_format is not None or unit == "iso":
+        return
+    if times[0] > MILLISECONDS_FROM:
+        advice = "say time_unit: ms in the map"
+        if unit != "s" or times[0] > 1000.0 * MILLISECONDS_FROM:
+            advice = "say the unit of the time in the map, or convert what is in finer parts than ms to seconds"
+        sentence = f"no seconds since 1970 are so many: {advice}"
+    elif unit == "s" and are_days(times):
         sentence = f"{times[0]:.10g} and so on are days, as spreadsheets count dates: say time_unit: d in the map"
-        place.line = 0
-        raise place.refuse(sentence, form.header[form.columns.time])
+    else:
+        return
+    place.line = 0
+    raise place.refuse(sentence, form.header[form.columns.time])
 
 
 def _disorder(times: list[float], *, local: bool) -> str:
@@ -251,6 +260,8 @@ def _time(place: Place, form: _Form, fields: list[str], read_time: TimeReader, *
     if not math.isfinite(time_s):
         if [field.strip() for field in fields] == form.header:
             raise place.refuse("the names of the columns come again; split the file where the logger was restarted")
+        if has_thousands(text):
+            raise place.refuse(f"{text!r} has a mark that separates thousands; export without it", column)
         wanted = form.recording_map.time_format
         sentence = "in the unit that the map gives" if wanted is None else f"of the form {wanted} that the map gives"
         if first and not form.recording_map.unit_row and not any(is_number(text.replace(",", ".")) for text in fields):
@@ -270,6 +281,14 @@ def _numbers(
     except ValueError:
         pass
     texts = [(header[i], fields[i].strip()) for i in wanted]
+    if decimal is None:
+        of_mark = {mark: next((t for _, t in texts if mark in t and t not in missing), None) for mark in ",."}
+        if all(of_mark.values()):
+            comma, point = of_mark.values()
+            raise place.refuse(
+                f"{comma!r} has a comma and {point!r} a point: say in the map which of them is the decimal mark "
+                "(decimal), and export without marks that separate thousands"
+            )
     return np.array([math.nan if text in missing else _number(place, column, text, decimal) for column, text in texts])
 
 
@@ -287,14 +306,14 @@ def _number(place: Place, column: str, text: str, decimal: str | None) -> float:
 
 
 def _advice(text: str, decimal: str | None) -> str:
-    if decimal == "." and "," in text:
-        return "if its comma is the decimal mark, say decimal: ',' in the map"
-    if decimal == "," and "." in text:
+    if decimal == "." and "," in text and not has_thousands(text):
+        return "where its comma is the decimal mark, say decimal: ',' in the map, else export without it"
+    if decimal == "," and "." in text and not has_thousands(text):
         return (
             "the map says that the decimal mark is a comma; where the point separates thousands, export without such "
             "points, where it is the decimal mark, say decimal: '.' in the map"
         )
-    if _WITH_THOUSANDS.fullmatch(text):
+    if has_thousands(text):
         return "where a mark separates thousands, export without it"
     if _WITH_UNIT.fullmatch(text):
         return "write the number alone, and its unit into the name of the column"

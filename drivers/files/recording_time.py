@@ -7,7 +7,7 @@ from zoneinfo import ZoneInfo
 from config.recordings.recording_map import RecordingMap
 
 SECONDS = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
-_OF_A_DATE = ("%d", "%j", "%D", "%x", "%c", "%Y", "%y", "%m", "%b", "%B", "%s")
+HOURS = 24
 
 TimeReader = Callable[[str], float]
 """Text of a row's time -> seconds; rows in order. Raises ValueError for what is no time."""
@@ -17,7 +17,7 @@ def time_reader(recording_map: RecordingMap) -> TimeReader:
     """Return what reads the times of one recording, row by row."""
     zone = UTC if recording_map.time_zone is None else ZoneInfo(recording_map.time_zone)
     if (form := recording_map.time_format) is not None:
-        if not any(part in form for part in _OF_A_DATE):
+        if not recording_map.has_dates:
             return _OfDay(form)
         return _Local(lambda text: datetime.strptime(text, form), zone)
     if recording_map.time_unit == "iso":
@@ -44,15 +44,19 @@ class _Local:
 
 
 class _OfDay:
-    """The time of day alone; what goes back by more than half a day is the next day."""
+    """The time of day alone, or since the start: what goes back by more than half a day, or says so, is another day."""
 
     def __init__(self, form: str) -> None:
         self._form = form
         self._days, self._last = timedelta(), datetime.min
 
     def __call__(self, text: str) -> float:
-        moment = datetime.strptime(text, self._form)
-        if self._last - moment > timedelta(hours=12):
+        hours, _, rest = text.partition(":")
+        since_start = self._form.startswith("%H:") and hours.isdecimal() and int(hours) >= HOURS
+        moment = datetime.strptime(f"{int(hours) % HOURS}:{rest}" if since_start else text, self._form)
+        if since_start:
+            self._days = timedelta(days=int(hours) // HOURS)
+        elif self._last - moment > timedelta(hours=HOURS / 2):
             self._days += timedelta(days=1)
         self._last = moment
         return (moment + self._days - datetime(1900, 1, 1)).total_seconds()

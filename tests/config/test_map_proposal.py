@@ -57,6 +57,47 @@ def test_a_row_of_units_says_what_the_columns_are() -> None:
     )
 
 
+def test_a_row_of_units_may_end_before_the_last_column() -> None:
+    found = propose_map(["time", "S1", "E", "Remark"], [["min", "°C", "um"], ["0", "1", "2", ""], ["1", "1", "2", ""]])
+    assert found.keys["unit_row"] and found.left_out == ("Remark",)
+
+
+def test_milliseconds_since_1970_are_told_by_their_number() -> None:
+    found = propose_map(["timestamp", "T1", "X_um"], rows("1740985200000", "1740985210000", fields=3))
+    assert (found.keys["time_unit"], found.lacking) == ("ms", ())
+    assert found.notes == ("'timestamp' is taken to be milliseconds since 1970: the first row is of 03 March 2025",)
+    finer = propose_map(["timestamp", "T1", "X_um"], rows("1740985200000000000", "1740985210000000000", fields=3))
+    assert finer.keys["time_unit"] == "s", "which reading refuses"
+
+
+def test_marks_that_separate_thousands_are_told_as_such() -> None:
+    header = ["Temps [s]", "Vitesse broche (tr/min)", "T1", "X_um"]
+    found = propose_map(header, [["980,0", "500", "20,1", "1,5"], ["1.000,0", "12\u00a0000", "20,2", "1,6"]])
+    assert len(found.notes) == 2 and all("separates thousands; export" in note for note in found.notes)
+
+
+def test_minutes_that_come_twice_are_said_once_and_no_date_is_blamed() -> None:
+    fields = [["2025-03-03", "07:00", "20.1", "1"], ["2025-03-03", "07:00", "20.2", "2"]]
+    (note,) = propose_map(["Date", "Time", "T1", "X_um"], fields).notes
+    assert note.startswith("'Time' says the same time in rows one after the other")
+
+
+def test_a_time_of_day_has_no_zone() -> None:
+    found = propose_map(["Time", "T1", "X_um"], rows("07:00:00", "07:00:10", fields=3))
+    assert (found.keys["time_format"], found.notes) == ("%H:%M:%S", ())
+    assert not found.recording_map.local_times, "or a night when clocks were set back would ask for one"
+
+
+@pytest.mark.parametrize("name", ["T1 (front)", "T07 Motor", "dT1", "dT12"])
+def test_a_numbered_temperature_may_have_words_behind_it(name: str) -> None:
+    assert propose_map(["time_s", name, "Z_um"], rows("0", "1", fields=3)).keys["temperatures"] == [name]
+
+
+@pytest.mark.parametrize("name", ["DispZ", "tcp.dz", "Disp 1"])
+def test_a_displacement_is_told_by_its_usual_abbreviations(name: str) -> None:
+    assert propose_map(["time_s", "T1", name], rows("0", "1", fields=3)).keys["displacements"] == [name]
+
+
 @pytest.mark.parametrize(
     ("name", "unit"),
     [
@@ -139,6 +180,7 @@ def test_japanese_names_and_empty_fields_at_the_end_are_understood() -> None:
     ("name", "keys"),
     [
         ("Spindle speed (rad/s)", {"speed": "Spindle speed (rad/s)", "speed_unit": "rad/s"}),
+        ("Drehzahl [1000/min]", {"speed": "Drehzahl [1000/min]", "speed_unit": "krpm"}),
         ("speed [krpm]", {"speed": "speed [krpm]", "speed_unit": "krpm"}),
         ("n [rps]", {}),
         ("Drehzahl [U/min]", {"speed": "Drehzahl [U/min]"}),

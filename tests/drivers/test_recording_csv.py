@@ -183,6 +183,9 @@ def test_times_are_read_in_the_form_and_the_zone_of_the_map(tmp_path: Path) -> N
     form = {"time_format": "%d.%m.%Y %H:%M:%S"}
     assert times(tmp_path, "31.01.2026 23:59:50", "01.02.2026 00:00:00", **form) == [0.0, 10.0]
     assert times(tmp_path, "23:59:50", "00:00:10", time_format="%H:%M:%S") == [0.0, 20.0]
+    since_start = "0:00:00", "23:59:50", "24:00:00", "47:59:59", "100:00:00"
+    read = times(tmp_path, *since_start, time_format="%H:%M:%S")
+    assert read == [0.0, 86_390.0, 86_400.0, 172_799.0, 360_000.0], "hours since the start go on past 24"
     zurich = form | {"time_zone": "Europe/Zurich"}
     spring = "29.03.2026 01:59:00", "29.03.2026 03:00:00"
     assert (times(tmp_path, *spring, **zurich), times(tmp_path, *spring, **form)) == ([0.0, 60.0], [0.0, 3660.0])
@@ -200,6 +203,10 @@ def test_times_are_read_in_the_form_and_the_zone_of_the_map(tmp_path: Path) -> N
         (
             {"time_unit": "h", "time_format": "%H:%M"},
             "time_unit: goes with numbers and with ISO 8601, not with time_format",
+        ),
+        (
+            {"time_format": "%H:%M:%S", "time_zone": "Europe/Zurich"},
+            "time_zone: a time of day without a date has no zone",
         ),
         ({"time_format": "dd.mm"}, "time_format: 'dd.mm' has no part such as %H"),
         ({"date": "day"}, "date: needs time_format"),
@@ -229,6 +236,23 @@ def test_decimal_commas_in_quoted_fields_need_the_map(tmp_path: Path) -> None:
     assert "say decimal: ',' in the map" in refusal(tmp_path, content, RecordingMap.model_validate(keys))
     dotted = RecordingMap.model_validate(keys | {"decimal": ","})
     assert "'20.5' is not a number; the map says" in refusal(tmp_path, "t,t1,c1\n0,20.5,1\n", dotted)
+    speeds = "t;rpm;t1;c1\n0;{};{};1\n"
+    for speed, degc in (("12,000", "20.5"), ("30.000", "20,5")):
+        said = refusal(tmp_path, speeds.format(speed, degc), None)
+        assert "has a comma and" in said and repr(speed) in said, "12 1/min or 12 thousand: nobody knows"
+    marks = RecordingMap.model_validate(keys | {"decimal": ","})
+    assert "'1.020,0' is not a number; where a mark" in refusal(tmp_path, "t;t1;c1\n0;1.020,0;1\n", marks)
+    assert "'1.020,0' has a mark that separates" in refusal(tmp_path, "t;t1;c1\n1.020,0;20,5;1\n", marks)
+
+
+def test_milliseconds_since_1970_are_never_seconds(tmp_path: Path) -> None:
+    content = "t,c1,t1\n1740985200000,0.5,20\n1740985210000,0.75,20.5\n"
+    said = refusal(tmp_path, content, None)
+    assert said == "day.csv: column t: no seconds since 1970 are so many: say time_unit: ms in the map"
+    keys = {"time": "t", "time_unit": "ms", "temperatures": ["t1"], "displacements": ["c1"]}
+    milliseconds = RecordingMap.model_validate(keys)
+    assert read_recording(written(tmp_path, content), milliseconds).time_s.tolist() == [0.0, 10.0]
+    assert "convert" in refusal(tmp_path, content.replace("0000,", "0000000,"), milliseconds)
 
 
 def test_times_speeds_and_displacements_are_read_in_the_unit_that_the_map_says(tmp_path: Path) -> None:
