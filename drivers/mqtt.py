@@ -107,9 +107,11 @@ class MqttSource(PushedSource):
         try:
             if path is not None:
                 read_whole(path)  # of a pipe OpenSSL would wait for an end
-            return ssl.create_default_context(cafile=None if path is None else str(path))
+            context = ssl.create_default_context(cafile=None if path is None else str(path))
         except (OSError, ssl.SSLError) as error:
             raise FatalDriverError(f"{self._where}: ca_certificate {path} cannot be used: {error}") from error
+        context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN  # by the authority that signed it, though below another
+        return context
 
     def _take(self, message: aiomqtt.Message) -> None:
         here = self._topics.get(str(message.topic), [])

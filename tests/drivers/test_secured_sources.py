@@ -1,7 +1,6 @@
 """MQTT over TLS and OPC UA tags with security, on real wires: what is let in, and what is said when it is not."""
 
 import asyncio
-import ssl
 from collections.abc import AsyncIterator, Iterator
 from contextlib import aclosing
 from datetime import UTC, datetime, timedelta
@@ -24,6 +23,7 @@ from scripted_machine import PASSWORD, SERVER_URI, USER, Keys
 
 from config.schema.source_drivers import SourceConfig
 from daemon.simulation.processes import free_port
+from daemon.sinks.vouching import tls_context
 from drivers.clock import SystemClock
 from drivers.contract import DriverError, FatalDriverError, LinkError
 from drivers.mqtt import MqttSource
@@ -46,24 +46,26 @@ async def first(source: RowSource) -> Row:
 
 
 def certificates(folder: Path) -> None:
-    """Make an authority and, by it, the broker's certificate for 127.0.0.1."""
-    now, keys = datetime.now(UTC), {name: ec.generate_private_key(ec.SECP256R1()) for name in ("ca", "broker")}
+    """Make an authority below another one and, by it, the broker's certificate for 127.0.0.1."""
+    names_of = ("root", "ca", "broker")
+    now, keys = datetime.now(UTC), {name: ec.generate_private_key(ec.SECP256R1()) for name in names_of}
     names = {name: x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, f"test {name}")]) for name in keys}
-    for name, key in keys.items():
+    for by, name in (("root", "root"), ("root", "ca"), ("ca", "broker")):
+        key = keys[name]
         made = (
             x509.CertificateBuilder()
             .subject_name(names[name])
-            .issuer_name(names["ca"])
+            .issuer_name(names[by])
             .public_key(key.public_key())
             .serial_number(x509.random_serial_number())
             .not_valid_before(now - timedelta(days=1))
             .not_valid_after(now + timedelta(days=1))
-            .add_extension(x509.BasicConstraints(ca=name == "ca", path_length=None), critical=True)
+            .add_extension(x509.BasicConstraints(ca=name != "broker", path_length=None), critical=True)
         )
         if name == "broker":
             address = x509.IPAddress(ip_address("127.0.0.1"))
             made = made.add_extension(x509.SubjectAlternativeName([address]), critical=False)
-        signed = made.sign(keys["ca"], hashes.SHA256())
+        signed = made.sign(keys[by], hashes.SHA256())
         (folder / f"{name}.pem").write_bytes(signed.public_bytes(serialization.Encoding.PEM))
         private = key.private_bytes(
             serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
@@ -89,8 +91,7 @@ async def test_messages_come_over_tls_and_only_from_a_broker_that_is_vouched_for
     authority = tmp_path / "ca.pem"
     source = subscribed(broker, tls=True, ca_certificate=authority)
     waiting = asyncio.ensure_future(first(source))
-    context = ssl.create_default_context(cafile=str(authority))
-    async with aiomqtt.Client("127.0.0.1", broker, tls_context=context) as device:
+    async with aiomqtt.Client("127.0.0.1", broker, tls_context=tls_context(authority)) as device:
         async with asyncio.timeout(PATIENCE_S):
             while not waiting.done():
                 await device.publish("m/7", "21.5")
