@@ -346,7 +346,7 @@ async def test_what_happened_stands_on_the_history_in_the_time_of_the_browser_an
         assert seen.said == []
 
 
-async def test_what_has_held_too_long_is_to_be_switched_on_again_whatever_else_is_to_be_done(tmp_path):
+async def test_what_has_held_too_long_is_to_be_switched_on_and_a_band_is_drawn_between_samples_too(tmp_path):
     sentence = (
         "held too long, so a person must switch it on again; the reason then: no valid reference: the NC program has "
         "not passed its positioning"
@@ -354,6 +354,8 @@ async def test_what_has_held_too_long_is_to_be_switched_on_again_whatever_else_i
     asked = f"import('/messages.js').then(async (all) => {{ await all.load(); return all.remedies('{sentence}'); }})"
     async with monitor(tmp_path) as bench, overview(f"http://127.0.0.1:{bench.port}/") as seen:
         first, then = await seen.page.evaluate(asked)
+        edges = "import('/series.js').then((all) => all.beside([0, undefined, 2, null, 1], [1, undefined, 1, 1, 1]))"
+        assert await seen.page.evaluate(edges) == [[1, 2, 3, None, 2], [-1, 0, 1, None, 0]]
     assert "switch on again" in first and "position" in then
 
 

@@ -66,3 +66,22 @@ export async function begun(from, to) {
 
 export const each = (values, others, of) => values.map((value, index) =>
   (value === null || others[index] === null ? null : value === undefined || others[index] === undefined ? undefined : of(value, others[index])));
+
+// Between two values, a straight line: for shading, which knows no gaps of sampling.
+export function bridge(values) {
+  const filled = [...values];
+  let before = null;
+  values.forEach((value, index) => {
+    if (typeof value !== "number") return;
+    if (before !== null && values[before + 1] === undefined) {
+      for (let place = before + 1; place < index; place++) filled[place] = values[before] + ((value - values[before]) * (place - before)) / (index - before);
+    }
+    before = index;
+  });
+  return filled;
+}
+
+// The upper and lower edge of a band around values; without a break where the line has none.
+export function beside(values, half) {
+  return [1, -1].map((sign) => each(bridge(values), bridge(half), (value, width) => value + sign * width));
+}

@@ -5,7 +5,7 @@ import { STATES, TERMS } from "../words.js";
 import { Chart } from "../charts.js";
 import { ask, act, series } from "../api.js";
 import { remedies } from "../messages.js";
-import { aligned, at, begun, each, held, since } from "../series.js";
+import { aligned, at, begun, beside, each, held, since } from "../series.js";
 
 const SHIFT_S = 8 * 3600;
 const AGAIN_MS = 60000;
@@ -328,7 +328,6 @@ class ErrorOverShift {
     const tail = this.tail;
     const data = [[...t, ...tail.map((row) => row[0])], [...without, ...tail.map((row) => row[1])], [...remaining, ...tail.map((row) => row[2])]];
     const bands = [...band, ...tail.map((row) => row[3])];
-    const shift = (sign) => data[2].map((value, index) => (value === null || value === undefined || bands[index] === null || bands[index] === undefined ? value ?? null : value + sign * bands[index]));
-    this.chart.set([...data, shift(1), shift(-1)], { unit: `thermal error [${this.unit}]`, unit_short: this.unit, note: this.where });
+    this.chart.set([...data, ...beside(data[2], bands)], { unit: `thermal error [${this.unit}]`, unit_short: this.unit, note: this.where });
   }
 }

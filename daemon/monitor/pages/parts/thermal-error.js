@@ -4,7 +4,7 @@ import { h, s, put, buttons, choice, card, table, number, signed, um, per, durat
 import { RANGES } from "../words.js";
 import { Chart } from "../charts.js";
 import { ask, series } from "../api.js";
-import { aligned, at, begun, each, held, since } from "../series.js";
+import { aligned, at, begun, beside, bridge, each, held, since } from "../series.js";
 
 const POINTS = 600;
 const SHOWN = 12;
@@ -80,8 +80,8 @@ class ThermalError {
     const start = since(t, marks, (mark) => (mark === null ? first - (estimated.find((value) => typeof value === "number") ?? 0) : at(t, raw, mark) ?? after(t, raw, mark) ?? first));
     const sloped = typeof estimate.channels[channel].pivot_mm === "number";
     const measured = sloped ? raw.map((value) => (value === undefined ? undefined : null)) : each(raw, start, (value, origin) => value - origin);
-    const filled = bridge(estimated), spread = bridge(band);
-    const upper = each(filled, spread, (value, half) => value + half), lower = each(filled, spread, (value, half) => value - half);
+    const spread = bridge(band);
+    const [upper, lower] = beside(estimated, band);
     const shown = marks.map((x) => ({ x, words: "reference" }));
     this.error.options.marks = this.rest.options.marks = shown;
     const unit = per(estimate.channels[channel]);
@@ -117,20 +117,6 @@ class ThermalError {
 function after(t, values, instant) {
   const index = t.findIndex((time, place) => time >= instant && typeof values[place] === "number");
   return index < 0 ? null : values[index];
-}
-
-// Between two values, a straight line: for shading, which knows no gaps of sampling.
-function bridge(values) {
-  const filled = [...values];
-  let before = null;
-  values.forEach((value, index) => {
-    if (typeof value !== "number") return;
-    if (before !== null && values[before + 1] === undefined) {
-      for (let place = before + 1; place < index; place++) filled[place] = values[before] + ((value - values[before]) * (place - before)) / (index - before);
-    }
-    before = index;
-  });
-  return filled;
 }
 
 function contributions(parts, unit) {
