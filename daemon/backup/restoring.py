@@ -97,6 +97,7 @@ def restore(
             assert store is not None, "every back-up holds a store"
             if not accept_unsigned:
                 archive.signer(_trusted(config_path))
+            _refuse_another_machine(archive_path, manifest, config_path)
             _refuse_small_disk(archive, store)
             archive.prove()
             with _stopped(store), _private_folder(store.parent) as folder:
@@ -111,6 +112,20 @@ def restore(
                 )
     except OSError as error:
         raise BackupError(f"the back-up cannot be restored: {error}") from error
+
+
+def _refuse_another_machine(archive_path: Path, manifest: Manifest, config_path: Path) -> None:
+    """Refuse a back-up of another machine: the places are the same in a whole plant."""
+    try:
+        installed = load_configuration(config_path).machine
+    except ConfigurationError:  # there is none, or a person names the places
+        return
+    if manifest.machine != installed:
+        raise BackupError(
+            f"{archive_path}: is of machine {manifest.machine!r}, and the installed configuration is that of "
+            f"{installed!r} (machine): take that one's own back-up; where this is the same machine, give it its name "
+            f"back, and where this computer takes the other's place, move {config_path} away first"
+        )
 
 
 def _trusted(config_path: Path) -> TrustedKeys:
