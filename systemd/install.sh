@@ -85,6 +85,7 @@ extras=$(cat "$here/extras" 2> /dev/null || :)
 mkdir -p "$prefix"
 # The environment is built in its own place, because programs in it name that place.
 trap 'rm -rf "$prefix/$version"' EXIT
+trap 'exit 1' HUP INT TERM  # dash ends without the trap above
 "$python" -m venv "$prefix/$version"
 "$prefix/$version/bin/python" -m pip install --quiet --disable-pip-version-check --no-index \
     --find-links "$here/wheels" --constraint "$here/constraints.txt" "toolpoint${extras:+[$extras]}==$version"

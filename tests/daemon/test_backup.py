@@ -314,7 +314,7 @@ def test_a_machine_that_was_commissioned_since_the_backup_keeps_its_record(insta
 
 @pytest.mark.parametrize("keep_configuration", [False, True])
 def test_a_backup_of_another_machine_is_refused(installation, keep_configuration):
-    """A plant's machines have the same places: this one would command the other's control, or take its sensors' levels."""
+    """A plant's machines have the same places: one would command another's control, or take its sensors' levels."""
     path, config = installation.backup(), installation.config_path
     config.write_text(config.read_text(encoding="utf-8").replace("Mill 7 (hall)", "Mill 8"), encoding="utf-8")
     words = r"is of machine 'Mill 7 \(hall\)', and the installed configuration is that of 'Mill 8'"

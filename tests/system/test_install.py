@@ -187,6 +187,16 @@ def test_what_is_left_of_an_installation_that_was_broken_off_is_told(tmp_path: P
     assert done.returncode == 1 and f"{tmp_path}/opt/0.0.1 is left from an installation" in done.stderr
 
 
+def test_an_installation_whose_terminal_goes_leaves_nothing_half_done(tmp_path: Path) -> None:
+    """Such as over a network: the units would be those of before, and the next run would find it installed."""
+    own = tmp_path / "python3"
+    hung_up = 'kill -HUP $PPID; mkdir -p "$3/bin"; exit 0'
+    own.write_text(f'#!/bin/sh\ncase "$*" in *"-m venv"*) {hung_up} ;; *) exec {sys.executable} "$@" ;; esac\n')
+    own.chmod(0o755)
+    done = install(bundle(tmp_path, "0.0.1"), tmp_path / "opt", "--python", str(own), "--program-only")
+    assert done.returncode != 0 and list((tmp_path / "opt").iterdir()) == []
+
+
 @pytest.mark.parametrize("option", ["--prefix", "--switch"])
 def test_an_option_without_a_value_is_refused(tmp_path: Path, option: str) -> None:
     for value in ([], [""]):
