@@ -27,6 +27,7 @@ from daemon.app import Daemon
 from daemon.cli.operate.sink import in_words
 from daemon.monitor.control_socket import ControlSocket
 from daemon.sinks.alarms import sink as alarm_sink
+from daemon.sinks.alarms.ledger import Condition
 from daemon.sinks.alarms.observing import HELD, Lasting, certificates, of_computer, of_status
 from daemon.sinks.alarms.sink import AlarmSink
 from daemon.sinks.running import SinkRunner, alone, make_messenger, run_sinks, sink_status
@@ -348,6 +349,26 @@ async def test_who_starts_on_a_disk_that_cannot_be_written_tells_it_and_its_end(
             finally:
                 stop.set()
                 await sender
+
+
+async def test_a_share_that_does_not_answer_keeps_no_alarm_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A back-up's folder may lie on one: its server is away, and to look at the room on it takes hours."""
+    answers = threading.Event()
+    full = Condition(kind="disk", subject="/share", text="1.0 % of the disk is free", since_utc_s=0.0)
+    monkeypatch.setattr(alarm_sink, "of_computer", lambda *_: [full] if answers.wait(20.0) else [])
+    async with hall(tmp_path) as it:
+        answers.set()
+        await it.rig.turn()
+        (said,) = await it.look()
+        assert said.startswith("disk /share, since")
+        answers.clear()
+        monkeypatch.setattr(alarm_sink, "SHARE_WITHIN_S", 0.01)
+        await fault(it.rig, "read-back differs: #501")
+        (said,) = await it.look(60.0)
+        assert said.startswith("FAULT, since"), "nobody knows whether the disk is free again"
+        answers.set()
 
 
 def test_alarms_hold_no_history_back(tmp_path: Path) -> None:

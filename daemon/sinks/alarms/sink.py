@@ -9,10 +9,13 @@ rows back: the retention of the history does not wait for it.
 import os
 import re
 import sqlite3
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +40,8 @@ LOOK_S = 10.0
 """How often the daemon is asked."""
 COMPUTER_S = 600.0
 """How often disk and certificates are looked at."""
+SHARE_WITHIN_S = 5.0
+"""So long that look is waited for: a folder on a network share may not answer for hours."""
 MODELS_S = 86_400.0
 """How often it is looked whether a model wears out."""
 EARLIER_ROWS = 5000
@@ -154,7 +159,9 @@ class AlarmSink:
         self._path = cursor_path(configuration.history.path, config.name).with_suffix(".alarms")
         self._known = self._written = watched(self._path)
         self._looked_s = self._computer_s = float("-inf")
-        self._computer: tuple[Condition, ...] = ()
+        self._computer: tuple[Condition, ...] | None = None
+        self._computer_look: Future[tuple[Condition, ...]] | None = None
+        """The one that has not answered yet."""
         self._unwritten = ""
         """Why the file does not hold what is known, '' where it does."""
         self._untold = ""
@@ -237,7 +244,7 @@ class AlarmSink:
         known = self._known
         lasting = Lasting({(kind, subject): since for kind, subject, since in known.since_utc_s}, now_utc_s)
         status = asked(self._configuration.service.socket)
-        judged = {"daemon", "disk", "certificate"}
+        judged = {"daemon"}
         if isinstance(status, str):
             found = list(lasting.condition("daemon", "", status, self._alarms.daemon_longer_than_s))
             lasting.keep(("fault", *OF_STATUS))
@@ -253,7 +260,10 @@ class AlarmSink:
             ledger = self._over(ledger, stay, machine_utc_s)
         if track.now is not None and (of_output := self._of_output(track.now, machine_utc_s)) is not None:
             found.append(of_output)
-        found += [*self._of_computer(ledger, now_utc_s), *known.worn]
+        found += known.worn
+        if (computer := self._of_computer(ledger, now_utc_s)) is not None:
+            found += computer
+            judged |= {"disk", "certificate"}
         ledger = ledger.seen([each for each in found if self._told(each.kind)], judged, now_utc_s)
         since = tuple((*key, since) for key, since in lasting.since_utc_s.items())
         self._known = replace(known, track=track, ledger=ledger, since_utc_s=since)
@@ -264,11 +274,21 @@ class AlarmSink:
         if output["state"] == OutputState.FAULT and (now is None or now.state != OutputState.FAULT):
             yield from lasting.condition("fault", "", output["reason"], SETTLED_S)
 
-    def _of_computer(self, ledger: Ledger, now_utc_s: float) -> tuple[Condition, ...]:
-        if time.monotonic() - self._computer_s >= COMPUTER_S:
+    def _of_computer(self, ledger: Ledger, now_utc_s: float) -> tuple[Condition, ...] | None:
+        """Return what the latest look at disks and certificates that was answered found; None without one."""
+        wait_s = 0.0
+        if self._computer_look is None and time.monotonic() - self._computer_s >= COMPUTER_S:
             active = [alarm.key for alarm in ledger.alarms if alarm.ended_utc_s is None]
-            self._computer = tuple(of_computer(self._configuration, self._alarms, active, now_utc_s))
-            self._computer_s = time.monotonic()
+            self._computer_look, self._computer_s, wait_s = Future(), time.monotonic(), SHARE_WITHIN_S
+            look = partial(of_computer, self._configuration, self._alarms, active, now_utc_s)
+            threading.Thread(target=_answer, args=(self._computer_look, look), name="computer", daemon=True).start()
+        if (answered := self._computer_look) is not None:
+            try:
+                self._computer = answered.result(wait_s)
+            except TimeoutError:
+                pass
+            finally:
+                self._computer_look = None if answered.done() else answered
         return self._computer
 
     def _judge_models(self, now_utc_s: float) -> None:
@@ -317,3 +337,10 @@ class AlarmSink:
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
         self._written = self._known
+
+
+def _answer(look: "Future[tuple[Condition, ...]]", found: Callable[[], Iterator[Condition]]) -> None:
+    try:
+        look.set_result(tuple(found()))
+    except Exception as error:
+        look.set_exception(error)
