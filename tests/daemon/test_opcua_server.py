@@ -290,6 +290,21 @@ async def test_a_renewed_certificate_counts_from_the_next_connection_and_waits_f
         assert not await reads(bench, before)
 
 
+async def test_a_client_may_send_its_certificate_with_those_of_its_authorities(tmp_path, keys):
+    async with tag_server(tmp_path, keys) as bench:
+        client = await bench.client("otto")
+        policy, create = client.security_policy, client.uaclient.create_session
+        policy.host_certificate_chain = [Path(keys.server).read_bytes()]
+
+        def with_chain(asked):
+            asked.ClientCertificate += policy.host_certificate_chain[0]
+            return create(asked)
+
+        client.uaclient.create_session = with_chain
+        async with client:
+            assert TAGS in await client.get_namespace_array()
+
+
 async def test_a_session_ends_with_its_account_and_there_are_only_so_many(tmp_path, keys):
     async with (
         tag_server(tmp_path, keys, sessions=2) as bench,

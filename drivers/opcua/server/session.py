@@ -82,8 +82,8 @@ class Session:
                 StatusCodes.BadTooManySessions
             )  # on this connection; one that nobody activated is given up
         wanted = request.structure(ua.CreateSessionParameters)
-        sent = self._wire.policy.peer_certificate
-        if wanted.ClientCertificate != sent:
+        sent = self._wire.policy.peer_certificate  # its own; those of its authorities may follow (OPC 10000-4, 5.6.2)
+        if not (wanted.ClientCertificate or b"").startswith(sent):
             raise ServiceError(StatusCodes.BadCertificateInvalid)
         if wanted.ClientDescription.ApplicationUri != application_uri(self._wire.peer):
             raise ServiceError(StatusCodes.BadCertificateUriInvalid)
