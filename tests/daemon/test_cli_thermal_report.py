@@ -71,6 +71,20 @@ def test_the_figures_are_those_of_the_known_responses(recording: Path) -> None:
     assert z1["worst_with"]["whole_period_um"] is None, "there is no model"
 
 
+def test_an_empty_field_where_the_spindle_starts_costs_neither_the_advice_nor_the_curve(
+    recording: Path, tmp_path: Path
+) -> None:
+    lines = recording.read_text("utf-8").splitlines()
+    for line in (2, 1 + STOPS_MIN[0]):
+        fields = lines[line].split(",")
+        lines[line] = ",".join([*fields[:2], "", *fields[3:]])
+    (path := tmp_path / "day.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    turn = report(path, "--html", page := tmp_path / "day.html")["channels"]["Z1"]["distortion_by_rotating_spindle"][0]
+    assert turn["warm_up"]["why_not"] is None, "it said that 0 rows of rotation were measured"
+    drawn = page.read_text("utf-8").split('"name":"Z1, measured"', 1)[1].split('"y":[', 1)[1].split("]", 1)[0]
+    assert drawn.startswith("null,0.0,") and drawn.count("null") == 2
+
+
 def test_a_model_takes_most_of_it_away(recording: Path, tmp_path: Path) -> None:
     training = make_recording(tmp_path / "training.csv", cycles=4)
     model = tmp_path / "model.json"

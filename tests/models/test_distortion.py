@@ -42,6 +42,15 @@ def test_distortion_is_the_range_of_60_minutes_and_of_the_whole_period() -> None
     assert math.isnan(value_range_um(np.array([np.nan])))
 
 
+def test_what_was_probed_once_an_hour_says_nothing_of_less_than_that() -> None:
+    error_um = np.where(MINUTES % 60.0 == 30.0, 0.1 * MINUTES, np.nan)
+    found = distortion(MINUTES, error_um)
+    assert math.isnan(found.first_60_min_um), "one value in the first hour is no range of 0 um"
+    assert found.whole_um == pytest.approx(6.0)
+    assert math.isnan(distortion(MINUTES[:60], error_um[:60]).end_um)
+    assert math.isnan(stable_after_min(MINUTES, error_um, ahead_min=15.0, tolerance_um=2.0))
+
+
 @pytest.mark.parametrize("constant_min", [10.0, 25.0])
 def test_time_to_stability_is_that_of_the_response(constant_min: float) -> None:
     found = stable_after_min(MINUTES, response(constant_min, -20.0), ahead_min=15.0, tolerance_um=2.0)

@@ -150,7 +150,7 @@ def _advice(
     if not len(inner) or np.nanmax(inner) - np.nanmin(inner) > CONSTANT_SPEED * np.nanmax(inner):
         return {"wait_min": None, "why_not": "the spindle did not turn at one constant speed"}
     try:
-        fitted = fit_warm_up(time_min, error_um - error_um[0])
+        fitted = fit_warm_up(time_min, error_um)
     except DatasetError as error:
         return {"wait_min": None, "why_not": str(error)}
     wait = fitted.wait_min(ahead_min=choices.ahead_min, tolerance_um=choices.tolerance_um)

@@ -86,10 +86,13 @@ def _figures(recording: Recording, estimates: RecordedEstimates | None) -> list[
     measured, estimated, remaining = [], [], []
     for place, name in enumerate(recording.displacement_names):
         colour = COLOURS[place % len(COLOURS)]
-        error_um = recording.displacements_um[:, place] - recording.displacements_um[0, place]
+        error_um = recording.displacements_um[:, place]
+        first = int(np.argmax(np.isfinite(error_um)))
+        error_um = error_um - error_um[first]
         measured.append(Curve(x=hours, y=error_um, label=f"{name}, measured", colour=colour))
         if estimates is not None and name in estimates.model.channels:
             found_um = estimates.since_um(name, 0, recording.rows)
+            found_um = found_um - found_um[first]
             estimated.append(
                 Curve(x=hours, y=found_um, label=f"{name}, estimated", colour=colour, style="dashed", width=2.0)
             )
@@ -97,7 +100,7 @@ def _figures(recording: Recording, estimates: RecordedEstimates | None) -> list[
     both = [curve for pair in zip(measured, estimated, strict=False) for curve in pair] if estimated else measured
     words = "Displacements, measured and estimated" if estimated else "Displacements"
     axes = [Axes(x_label=TIME, y_label=DISPLACEMENT, curves=both)]
-    note = "Since the first row, where the reference is."
+    note = "Since the first value, where the reference is."
     figures.append(Figure(number="2", title=words, note=note, axes=axes, heights=(460,)))
     if remaining:
         names = {curve.label.partition(",")[0] for curve in remaining}
@@ -107,7 +110,7 @@ def _figures(recording: Recording, estimates: RecordedEstimates | None) -> list[
             Axes(title=f"{kind} compensation", x_label=TIME, y_label=DISPLACEMENT, curves=curves, y_range=span)
             for kind, curves in (("without", without), ("with", remaining))
         ]
-        note = "On the same scale; one reference, at the first row."
+        note = "On the same scale; one reference, at the first value."
         figures.append(Figure(number="3", title="Without and with compensation", note=note, axes=axes))
     return figures
 

@@ -31,7 +31,7 @@ class Distortion:
     """What one displacement does during a rotation."""
 
     first_60_min_um: float
-    """Range in the first 60 min, or in as much as there is [um]; NaN where it was never measured."""
+    """Range in the first 60 min, or in as much as there is [um]; NaN where it was measured less than twice."""
     whole_um: float
     """Range in the whole period [um]."""
     end_um: float
@@ -81,9 +81,9 @@ def _turning(speed_rpm: FloatArray) -> "np.ndarray[tuple[int], np.dtype[np.bool_
 
 
 def value_range_um(values_um: FloatArray) -> float:
-    """Return largest minus smallest value of a series [um], shape (n,); NaN without a known value."""
+    """Return largest minus smallest value of a series [um], shape (n,); NaN of fewer than two known values."""
     known = values_um[np.isfinite(values_um)]
-    return float(known.max() - known.min()) if len(known) else float("nan")
+    return float(known.max() - known.min()) if len(known) > 1 else float("nan")
 
 
 def distortion(time_min: FloatArray, error_um: FloatArray) -> Distortion:
@@ -99,7 +99,7 @@ def distortion(time_min: FloatArray, error_um: FloatArray) -> Distortion:
     return Distortion(
         first_60_min_um=value_range_um(error_um[early]),
         whole_um=value_range_um(error_um),
-        end_um=float(known[-1] - known[0]) if len(known) else float("nan"),
+        end_um=float(known[-1] - known[0]) if len(known) > 1 else float("nan"),
     )
 
 
@@ -107,7 +107,7 @@ def stable_after_min(time_min: FloatArray, error_um: FloatArray, *, ahead_min: f
     """Return the time after which a displacement drifts less than a tolerance over the next minutes.
 
     Result: time since the first row [min] from which on every later change over `ahead_min` stays within the tolerance;
-    NaN when the last one does not, or the period is shorter than `ahead_min`.
+    NaN when the last one does not, the period is shorter than `ahead_min`, or it was measured more rarely than that.
 
     `time_min`, shape (n,): time [min], increasing; the first row is the start. `error_um`, shape (n,): displacement
     [um], NaN where it was not measured. `ahead_min`: how far is looked ahead [min]. `tolerance_um`: largest change
@@ -115,7 +115,7 @@ def stable_after_min(time_min: FloatArray, error_um: FloatArray, *, ahead_min: f
     """
     known = np.isfinite(error_um)
     time_min, error_um = time_min[known], error_um[known]
-    if len(time_min) < 2 or time_min[-1] - time_min[0] < ahead_min:
+    if len(time_min) < 2 or time_min[-1] - time_min[0] < ahead_min or np.median(np.diff(time_min)) > ahead_min:
         return float("nan")
     starts = time_min[time_min <= time_min[-1] - ahead_min + 1e-9]
     change = np.interp(starts + ahead_min, time_min, error_um) - error_um[: len(starts)]
