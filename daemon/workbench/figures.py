@@ -17,6 +17,11 @@ CONTOUR_COLOUR = "#00805c"
 MARK_COLOUR = "#9b4a00"
 MARKS_PIXELS = 28
 """The words of marks stand in two rows above the axes, and the title above them."""
+TITLE_PIXELS = 26
+LABEL_PIXELS = 20
+"""A label stands below the axes, on a narrow page each in its own line: beside them it took half of their width."""
+MOST_IN_WORDS = 110
+"""Of marks so many letters are written: of more every second, third ... word."""
 FILL_OPACITY = 0.14
 INK, GRID = "#16202a", "#e6ebf0"
 FONT = "system-ui, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif"
@@ -127,6 +132,13 @@ class Figure:
         return f"Fig. {self.number}  {self.title}" if self.number else self.title
 
 
+def stand_alone(values: FloatArray) -> bool:
+    """Return whether most values that are known have no known neighbour, as those of a probe: no line shows them."""
+    known = np.concatenate([[False], np.isfinite(values), [False]])
+    alone = known[1:-1] & ~known[:-2] & ~known[2:]
+    return bool(2 * alone.sum() > known.sum())
+
+
 def save(path: Path, figure: Figure) -> None:
     """Write a figure as a still picture or as a page to zoom into, by the file's ending; raises OSError."""
     if path.suffix.lower() == ".html":
@@ -169,8 +181,9 @@ def _png_axes(sheet: Any, place: Any, axes: Axes) -> None:
     if axes.heat is not None:
         _png_heat(sheet, place, axes.heat)
     for index, curve in enumerate(axes.curves):
+        marker = curve.marker or ("o" if stand_alone(curve.y) else "")
         place.plot(
-            curve.x, curve.y, linestyle=curve.style, marker=curve.marker, color=axes.colour(index),
+            curve.x, curve.y, linestyle=curve.style, marker=marker, color=axes.colour(index),
             linewidth=curve.width, label=curve.label or "_",
         )  # fmt: skip
         if curve.filled:
@@ -205,7 +218,8 @@ def _named_marks(marks: Sequence[tuple[float, str]]) -> list[tuple[float, str]]:
             named[-1][0].append(at)
         else:
             named.append(([at], word))
-    return [(sum(places) / len(places), word) for places, word in named if word]
+    words = [(sum(places) / len(places), word) for places, word in named if word]
+    return words[:: max(1, -(-sum(len(word) for _, word in words) // MOST_IN_WORDS))]
 
 
 def _png_heat(sheet: Any, place: Any, heat: Heat) -> None:
@@ -254,9 +268,13 @@ def _plotly(figure: Figure) -> Any:
     for index, axes in enumerate(figure.axes):
         place = {"row": index // figure.columns + 1, "col": index % figure.columns + 1}
         _plotly_axes(drawn, axes, place, shown, bar=index == len(figure.axes) - 1)
-    title = {} if figure.number else {"title": figure.title}
-    top = 50 + (MARKS_PIXELS if marked else 0)
-    drawn.update_layout(height=30 + top + sum(pixels), template="plotly_white", margin={"t": top}, **title)
+    title = {} if figure.number else {"title": {"text": figure.title, "yref": "container", "y": 1.0, "pad": {"t": 12}}}
+    labels = {curve.label for axes in figure.axes for curve in axes.curves} - {""}
+    top = 50 + (TITLE_PIXELS if title else 0) + (MARKS_PIXELS if marked else 0)
+    bottom = 60 + LABEL_PIXELS * len(labels)
+    drawn.update_layout(height=top + sum(pixels) + bottom - 80, template="plotly_white", **title)
+    drawn.update_layout(margin={"t": top, "b": bottom, "l": 60, "r": 20})
+    drawn.update_layout(legend={"orientation": "h", "yref": "container", "y": 0.0, "yanchor": "bottom", "x": 0.0})
     drawn.update_layout(font={"family": FONT, "color": INK})
     drawn.update_xaxes(gridcolor=GRID)
     drawn.update_yaxes(gridcolor=GRID)
@@ -267,7 +285,8 @@ def _plotly_axes(drawn: Any, axes: Axes, place: dict[str, int], shown: set[str],
     if axes.heat is not None:
         _plotly_heat(drawn, axes.heat, place, bar=bar)
     for index, curve in enumerate(axes.curves):
-        mode = "+".join(["lines"] * (curve.style != "none") + ["markers"] * bool(curve.marker))
+        points = bool(curve.marker) or stand_alone(curve.y)
+        mode = "+".join(["lines"] * (curve.style != "none") + ["markers"] * points)
         line = {"color": axes.colour(index), "width": curve.width, "dash": DASHES.get(curve.style, "solid")}
         drawn.add_scatter(
             x=_plain(curve.x), y=_plain(curve.y), mode=mode, name=curve.label, line=line,

@@ -9,6 +9,8 @@ import numpy as np
 from click.testing import CliRunner
 
 from daemon.cli import main
+from daemon.workbench.figures import MOST_IN_WORDS, picture
+from daemon.workbench.thermal.result_pages import MOST_POINTS, Stretch, _candidates, figures
 from models.thermal.features import lag_table
 
 NAME = "Weg <Z> [um]"
@@ -53,3 +55,38 @@ def test_an_evaluation_draws_itself_as_one_file_that_loads_nothing(tmp_path: Pat
     assert found["advice"] and set(found["advice"]) <= set(said)
     assert [sentence for sentence in said if sentence not in read] == [], "the page advises as the terminal does"
     assert "false alarms: " in read
+
+
+def test_the_page_says_why_a_family_was_refused() -> None:
+    channels = {"Z": {"candidates": {"lags": {"reduction_rmse": None, "refused": "no run is long enough"}}}}
+    (section,) = _candidates(channels)
+    assert section.items == ("lags was refused: no run is long enough",)
+
+
+def probed(name: str, rows: int, every: int) -> Stretch:
+    """Return a stretch that was measured now and then."""
+    measured = np.where(np.arange(rows) % every == 7, np.arange(float(rows)), np.nan)[:, None]
+    return Stretch(name=name, time_h=np.arange(rows) / 60.0, measured_um=measured, estimated_um=measured + 1.0)
+
+
+def test_every_value_of_a_probe_is_drawn_and_a_line_through_them() -> None:
+    (drawn,) = figures(("Z",), [probed("a.csv", MOST_POINTS, 60), probed("b.csv", MOST_POINTS, 60)])
+    for curve in (*drawn.axes[0].curves, *drawn.axes[1].curves):
+        assert np.isfinite(curve.y).sum() == 2 * MOST_POINTS / 60, "a line of gaps shows none, every second row half"
+        assert np.isnan(curve.y).sum() == 2, "no gaps but those between the recordings"
+        assert curve.marker == "o"
+    whole = np.arange(3.0 * MOST_POINTS)
+    (drawn,) = figures(
+        ("Z",), [Stretch(name="a", time_h=whole, measured_um=whole[:, None], estimated_um=whole[:, None])]
+    )
+    assert [len(curve.y) for curve in drawn.axes[0].curves] == [MOST_POINTS + 1] * 2 and not drawn.axes[0].curves[
+        0
+    ].marker
+
+
+def test_the_names_of_many_recordings_can_be_read_and_the_legend_takes_no_width() -> None:
+    drawn = figures(("Z",), [probed(f"warmup_{number:02}.csv", 60, 10) for number in range(40)])[0]
+    page = picture(drawn, alone=False).picture
+    words = re.findall(r"warmup_\d\d\.csv", page)
+    assert words[0] == "warmup_00.csv" and 4 <= len(words) <= MOST_IN_WORDS / len(words[0])
+    assert '"orientation":"h"' in page

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from config.html_page import Section
-from daemon.workbench.figures import Axes, Curve, Figure, report_page
+from daemon.workbench.figures import Axes, Curve, Figure, report_page, stand_alone
 from daemon.workbench.thermal.shortfalls import (
     columns_sentences,
     false_alarm_sentences,
@@ -112,33 +112,36 @@ def _figure(
     estimated: str,
     unit: str,
 ) -> Figure:
-    rows = sum(len(stretch.time_h) for stretch in stretches)
-    every = -(-rows // MOST_POINTS)
+    every = -(-sum(len(stretch.time_h) for stretch in stretches) // MOST_POINTS)
 
-    def joined(values: Sequence[FloatArray]) -> FloatArray:
-        """Return the stretches one after the other, with a break between them."""
-        return np.concatenate([part for one in values for part in (one[::every], [np.nan])])
+    def curve(values: Sequence[FloatArray], label: str, colour: str, **look: Any) -> Curve:
+        """Return the stretches one after the other, with a break between them; what stands alone as points."""
+        points = any(stand_alone(one) for one in values)
+        shown = [np.isfinite(one) if stand_alone(one) else slice(None, None, every) for one in values]
+        hours = [stretch.time_h + start for stretch, start in zip(stretches, starts, strict=False)]
+        x, y = (
+            np.concatenate([part for one, rows in zip(of, shown, strict=True) for part in (one[rows], [np.nan])])
+            for of in (hours, values)
+        )
+        return Curve(x=x, y=y, label=label, colour=colour, marker="o" if points else "", **look)
 
-    hours = joined([stretch.time_h + start for stretch, start in zip(stretches, starts, strict=False)])
-    measured = joined([stretch.measured_um[:, channel] for stretch in stretches])
-    model = joined([stretch.estimated_um[:, channel] for stretch in stretches])
-    above = [
-        Curve(x=hours, y=measured, label="measured", colour=MEASURED),
-        Curve(x=hours, y=model, label=estimated, colour=ESTIMATED),
-    ]
-    below = [Curve(x=hours, y=measured - model, label="left: measured minus estimated", colour=LEFT)]
+    measured = [stretch.measured_um[:, channel] for stretch in stretches]
+    model = [stretch.estimated_um[:, channel] for stretch in stretches]
+    left = [one - other for one, other in zip(measured, model, strict=True)]
+    above = [curve(measured, "measured", MEASURED), curve(model, estimated, ESTIMATED)]
+    below = [curve(left, "left: measured minus estimated", LEFT)]
     if all(stretch.online_left_um is not None for stretch in stretches):
-        online = joined([s.online_left_um[:, channel] for s in stretches if s.online_left_um is not None])
-        below.append(Curve(x=hours, y=online, label="left on line, by confidence", colour=ONLINE, style="dotted"))
+        online = [s.online_left_um[:, channel] for s in stretches if s.online_left_um is not None]
+        below.append(curve(online, "left on line, by confidence", ONLINE, style="dotted"))
     if all(stretch.band_um is not None for stretch in stretches):
-        half = joined([s.band_um[:, channel] for s in stretches if s.band_um is not None])
+        half = [s.band_um[:, channel] for s in stretches if s.band_um is not None]
         for sign, label in ((1.0, "band"), (-1.0, "")):
-            below.append(Curve(x=hours, y=sign * half, label=label, colour=BAND, style="dashed", width=1.0))
+            below.append(curve([sign * one for one in half], label, BAND, style="dashed", width=1.0))
     return Figure(
         title=name,
         axes=[
-            Axes(title=f"{name}: measured and {estimated}", y_label=unit, curves=above, marks=marks),
-            Axes(title=f"{name}: what is left", x_label="h", y_label=unit, curves=below),
+            Axes(title=f"measured and {estimated}", y_label=unit, curves=above, marks=marks),
+            Axes(title="what is left", x_label="h", y_label=unit, curves=below),
         ],
         heights=(320, 240),
         shared_x=True,
@@ -164,10 +167,13 @@ def _candidates(channels: Mapping[str, Any]) -> list[Section]:
         (name, *(_percent(its.get("candidates", {}).get(name, {}).get("reduction_rmse")) for its in channels.values()))
         for name in names
     )
+    tried = [(name, its["candidates"].get(name, {}).get("refused")) for its in channels.values() for name in names]
+    refused = dict.fromkeys(f"{name} was refused: {why}" for name, why in tried if why)
     return [
         Section(
             title="What was tried in training",
             text="Share of the RMSE that is gone on what training left out.",
+            items=tuple(refused),
             head=("family", *channels),
             rows=rows,
             kind="numbers",
