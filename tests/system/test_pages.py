@@ -525,6 +525,9 @@ async def test_a_late_answer_fills_no_other_page_and_a_page_that_failed_is_asked
         assert await main.locator("h1").all_inner_texts() == ["Overview"]
         await bench.rig.active()
         await expect(seen.page.locator("#state")).to_contain_text("ACTIVE")
+        await expect(seen.page.locator("figure .legend")).to_contain_text("without compensation 0.0 µm")
+        await bench.rig.follow(0.0, -9.0, 3)
+        await expect(seen.page.locator("figure .legend")).to_contain_text("without compensation −9.0 µm")
         await seen.page.route("**/api/v1/sensors", lambda route: route.abort())
         await seen.page.goto(f"{seen.base}#/temperatures")
         await expect(main).to_contain_text("tried again by itself")

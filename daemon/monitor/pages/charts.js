@@ -60,7 +60,10 @@ export class Chart {
     this.data = data;
     await library();
     if (rebuild) this.build();
-    else this.plot.setData(data);
+    else {
+      this.plot.setData(data);
+      this.follow(this.plot.cursor.idx);
+    }
   }
 
   size() {
