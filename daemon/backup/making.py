@@ -111,28 +111,30 @@ def copy_store(path: Path, destination: Path) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
-    """One file for the back-up: a copy of our own, or what was read of it once, because the daemon goes on writing."""
+    """One file for the back-up: one that nobody changes, or what was read of it once, as the daemon goes on writing."""
 
     name: str
     came_from: Path
-    copy: Path | None = None
+    unchanged: Path | None = None
     content: bytes = b""
 
     def open(self) -> io.BufferedReader | io.BytesIO:
         """Return the file's content as a stream."""
-        return self.copy.open("rb") if self.copy is not None else io.BytesIO(self.content)
+        return self.unchanged.open("rb") if self.unchanged is not None else io.BytesIO(self.content)
 
     def described(self) -> BackedUpFile:
         with self.open() as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
-        size_bytes = self.copy.stat().st_size if self.copy is not None else len(self.content)
+        size_bytes = self.unchanged.stat().st_size if self.unchanged is not None else len(self.content)
         return BackedUpFile(name=self.name, sha256=digest, size_bytes=size_bytes, came_from=str(self.came_from))
 
 
 def _sources(configuration: Configuration, config_path: Path, store: Path) -> Iterator[Source]:
-    yield Source(name=STORE_NAME, came_from=configuration.history.path, copy=store)
+    yield Source(name=STORE_NAME, came_from=configuration.history.path, unchanged=store)
     for name, path in _files_beside(configuration, config_path):
         yield Source(name=name, came_from=path, content=read_whole(path))
+    for name, path in _releases(configuration):
+        yield Source(name=name, came_from=path, unchanged=path)  # years of them are more than the service's memory
 
 
 def _files_beside(configuration: Configuration, config_path: Path) -> Iterator[tuple[str, Path]]:
@@ -146,13 +148,18 @@ def _files_beside(configuration: Configuration, config_path: Path) -> Iterator[t
         if (signature := signature_beside(record)).is_file():
             yield signature_name(COMMISSIONING_NAME), signature
     model_file = configuration.compensation.model_file
-    if model_file is None:
-        return
-    if model_file.is_file():
+    if model_file is not None and model_file.is_file():
         yield MODEL_NAME, Path(os.path.realpath(model_file))
+
+
+def _releases(configuration: Configuration) -> Iterator[tuple[str, Path]]:
+    """Yield the name in the back-up and the place of every file of the released models, which nobody writes again."""
+    if (model_file := configuration.compensation.model_file) is None:
+        return
     releases = model_file.parent / "releases"
     for path in sorted((*releases.glob("[0-9]*/*.json"), *releases.glob(f"[0-9]*/*{SIGNATURE_SUFFIX}"))):
-        yield f"{RELEASES_NAME}/{path.parent.name}/{path.name}", path
+        if path.is_file():
+            yield f"{RELEASES_NAME}/{path.parent.name}/{path.name}", path
 
 
 def _key(configuration: Configuration) -> tuple[SigningKey | None, list[str]]:

@@ -10,8 +10,10 @@ import subprocess
 import sys
 import tarfile
 import time
+import tracemalloc
 from contextlib import closing
 from datetime import UTC, datetime
+from hashlib import sha256
 from pathlib import Path
 from typing import BinaryIO
 
@@ -20,8 +22,10 @@ import yaml
 from control_rig import record_for
 from installation import Installation
 
+from config.files import LARGEST_FILE
 from config.loader import load_configuration
 from config.records.commissioning import CommissionedAxis
+from daemon.backup.archive import LARGEST, MOST_MEMBERS
 from daemon.backup.making import make_backup, remove_old
 from daemon.backup.manifest import BackupError, last_block_beside
 from daemon.backup.names import backup_name, existing_backups
@@ -103,6 +107,29 @@ def test_a_backup_beside_a_writing_daemon_holds_all_and_is_proved(installation):
     with HistoryReader(installation.folder / "copy.sqlite") as reader:
         assert [event.text for event in reader.events(*EVER)] == ["before the back-up", "while it runs"]
     assert sorted(p.name for p in installation.folder.iterdir() if p.name.startswith(".")) == []
+
+
+def test_years_of_releases_go_into_a_backup_and_come_out_again(installation):
+    """With proposals every eight hours there are a thousand a year, of up to 10 MiB; the service has 512 MiB."""
+    installation.release("ridge-1")
+    releases = installation.configuration.compensation.model_file.parent / "releases"
+    record = json.loads((releases / "0001/release.json").read_text(encoding="utf-8"))
+    content = bytes(8 << 20)
+    for number in range(2, 8):
+        (folder := releases / f"{number:04d}").mkdir()
+        (folder / "model.json").write_bytes(content)
+        told = record | {"number": number, "sha256": sha256(content).hexdigest()}
+        (folder / "release.json").write_text(json.dumps(told), encoding="utf-8")
+    tracemalloc.start()
+    path = installation.backup()
+    _, most_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most_bytes < LARGEST_FILE + 2 * len(content), "a reader of one file takes room for the largest"
+    restore(path, installation.config_path, person="anna", replace=True)
+    manifest = read_manifest(path)
+    entry = next(each for each in manifest.files if each.name.endswith("0007/release.json"))
+    five_years = manifest.model_copy(update={"files": [entry] * 3 * 5 * 1100})
+    assert len(five_years.model_dump_json(indent=2)) < LARGEST[0][1] and MOST_MEMBERS > 3 * 5 * 1100
 
 
 def test_a_backup_overwrites_nothing_and_leaves_nothing_half_done(installation):
