@@ -1,5 +1,6 @@
 """The library's client at a server that may send anything: chunks, messages and what is decoded have bounds."""
 
+import asyncio
 import struct
 from typing import Any, Self
 
@@ -20,9 +21,8 @@ LONGEST_MESSAGE = 4 << 20
 MOST_CHUNKS = 1024
 NAMELESS = ua.EndpointDescription()
 SIZE = struct.Struct("<4xI")
-MESSAGE: Any = ua.Message
-"""Its constructor has no types."""
-
+TYPES: Any = ua
+"""The library's, whose own types say less than they take."""
 
 ARRAY, SHAPED, KIND = 0x80, 0x40, 0x3F
 """Bits of the first byte of a variant: it is an array, dimensions follow, number of the type."""
@@ -80,7 +80,7 @@ def _decode_variants_so() -> None:
 _decode_variants_so()
 
 
-class ReceivedMessage(MESSAGE):  # type: ignore[misc]
+class ReceivedMessage(TYPES.Message):  # type: ignore[misc]
     """An answer whose decoding ends with its bytes."""
 
     def body(self) -> Received:
@@ -112,6 +112,14 @@ class BoundedProtocol(UASocketProtocol):
         super().__init__(timeout, security_policy)
         limits = ClientLimits(LONGEST_CHUNK, LONGEST_CHUNK, MOST_CHUNKS, LONGEST_MESSAGE)
         self._connection = BoundedConnection(security_policy, limits)
+
+    async def send_hello(self, url: str, max_messagesize: int = 0, max_chunkcount: int = 0) -> Any:
+        """Tell the server how long a chunk may be: the library tells it 2 GiB."""
+        ack = self._callbackmap[0] = asyncio.get_running_loop().create_future()
+        assert self.transport is not None
+        hello = TYPES.Hello(0, LONGEST_CHUNK, LONGEST_CHUNK, max_messagesize, max_chunkcount, url)
+        self.transport.write(LIBRARY.uatcp_to_binary(TYPES.MessageType.Hello, hello))
+        return await asyncio.wait_for(ack, self.timeout)
 
     def data_received(self, data: bytes) -> None:
         data, at, self.receive_buffer = (self.receive_buffer or b"") + data, 0, None

@@ -133,14 +133,8 @@ STATUS = struct.Struct("<I")
 NUMBERS = {kind: struct.Struct("<" + code) for kind, code in enumerate("?bBhHiIqQfd", start=1)}
 """Built-in type on the wire -> its bytes (OPC 10000-6, 5.1.2)."""
 UNREADABLE = (
-    ValueError,
-    LookupError,
-    ArithmeticError,
-    RecursionError,
-    TypeError,
-    AttributeError,
-    AssertionError,
-    struct.error,
+    *(ValueError, LookupError, ArithmeticError, RecursionError),
+    *(TypeError, AttributeError, AssertionError, struct.error),
 )
 """What the library raises, beside its own errors, when it decodes an answer that makes no sense."""
 NOTHING = ua.DataValue(None, StatusCode=None)

@@ -16,17 +16,8 @@ from models.json_values import number_in
 from models.records import CncMode, CncRun, CncSample, Instant
 
 STATE_NODES = (
-    "mode",
-    "run",
-    "alarm",
-    "program",
-    "sequence_number",
-    "spindle_speed",
-    "motor_temperature",
-    "clock",
-    "power_on_count",
-    "work_offset",
-    "tool_number",
+    *("mode", "run", "alarm", "program", "sequence_number", "spindle_speed", "motor_temperature"),
+    *("clock", "power_on_count", "work_offset", "tool_number"),
 )
 """Keys of `OpcUaNodesConfig` in the order in which they are read."""
 MEASURED = frozenset({"spindle_speed", "motor_temperature"})

@@ -73,12 +73,17 @@ async def refused(cnc: OpcUaCnc, words: str) -> None:
 
 
 @on_wires
-async def test_a_chunk_that_is_too_long_is_not_waited_for() -> None:
+async def test_a_chunk_that_is_too_long_is_not_waited_for_and_a_server_is_told_how_long_it_may_be() -> None:
+    said = []
+
     async def promise(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        await reader.read(4096)
+        said.append(ACKNOWLEDGE.unpack_from(await reader.read(4096)))
         writer.write(acknowledge() + b"OPNF" + (1 << 31).to_bytes(4, "little"))
 
     await refused(await driver_at(promise), "was lost while connecting")
+    takes, sends, most_bytes, most_chunks = said[0][3:]
+    assert takes == LONGEST_CHUNK, "else one of 65536, which some servers send, ends the connection"
+    assert (sends, most_bytes, most_chunks) == (LONGEST_CHUNK, LONGEST_MESSAGE, MOST_CHUNKS)
 
 
 @on_wires
