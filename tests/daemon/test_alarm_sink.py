@@ -423,6 +423,30 @@ async def test_links_and_sensors_count_after_their_time_and_the_own_link_never(t
         assert [each for each in judged(status, it.configuration) if each[0] == "sensor"] == [("sensor", "")]
 
 
+async def test_a_sensor_that_is_still_wrong_is_not_over_because_many_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with hall(tmp_path) as it:
+        await it.rig.turn()
+        status = await status_of(it.rig)
+        monkeypatch.setattr(alarm_sink, "asked", lambda _: status)
+        said: list[list[str]] = []
+        for count in (2, 30, 1):
+            status["temperatures"] = {
+                "not_good": {str(k): "x" for k in range(1, count + 1)[:20]},
+                "not_good_count": count,
+            }
+            said += [await it.look(after_s) for after_s in (60.0, 1e4, 60.0)]
+        (_, first, _, _, many, _, end, _, _) = said
+        assert [each.partition(" (")[0] for each in first] == ["sensor 1", "sensor 2"]
+        assert [each.partition(",")[0] for each in many] == ["many sensors"]
+        assert sorted(each.partition(": ")[2].partition(" (")[0] for each in end) == [
+            "many sensors: 30 sensors do not count, such as 1, 2, 3, 4, 5",
+            "sensor 2",
+        ]
+        assert sum(map(len, said)) == 5
+
+
 async def test_alarms_of_output_model_and_store(tmp_path: Path) -> None:
     async with hall(tmp_path) as it:
         await it.rig.turn()

@@ -5,7 +5,7 @@ lies a least time; FAULT and a daemon that does not run wait for each other only
 people could be told counts as one alarm with the number of its times.
 """
 
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 
 from models.json_values import printable
@@ -82,8 +82,15 @@ class Ledger:
     urgent_utc_s: float | None = None
     """When a message last held something urgent."""
 
-    def seen(self, conditions: Iterable[Condition], judged: Collection[str], now_utc_s: float) -> "Ledger":
-        """Return the ledger after a look; what is no longer wrong ends, as far as its kind was `judged`."""
+    def seen(
+        self,
+        conditions: Iterable[Condition],
+        judged: Collection[str],
+        now_utc_s: float,
+        *,
+        unjudged: Callable[[Key], bool] = lambda _: False,
+    ) -> "Ledger":
+        """Return the ledger after a look; what is no longer wrong ends, as far as its kind, and itself, was judged."""
         known = {alarm.key: alarm for alarm in self.alarms}
         there = set()
         for condition in map(_on_one_line, conditions):
@@ -91,7 +98,8 @@ class Ledger:
             there.add(key)
             known[key] = _still(known.get(key), condition)
         for key, alarm in known.items():
-            if key not in there and alarm.kind in judged and alarm.ended_utc_s is None:
+            over = key not in there and alarm.kind in judged and not unjudged(key)
+            if over and alarm.ended_utc_s is None:
                 known[key] = replace(alarm, ended_utc_s=max(now_utc_s, alarm.since_utc_s))
         return replace(self, alarms=tuple(known.values()))
 

@@ -64,6 +64,10 @@ class Lasting:
         if self._now_utc_s - since_utc_s >= longer_than_s:
             yield Condition(kind=kind, subject=subject, text=text, since_utc_s=since_utc_s)
 
+    def one_of_many(self, key: Key) -> bool:
+        """Say whether this is a single sensor while there are so many that none is looked at alone."""
+        return key[0] == "sensor" and key[1] != "" and ("sensor", "") in self.since_utc_s
+
     def keep(self, kinds: Iterable[str]) -> None:
         """Let what nobody could judge be as it was."""
         self.since_utc_s |= {key: since for key, since in self._before.items() if key[0] in kinds}
@@ -95,6 +99,8 @@ def of_status(
         if not link["up"] and link["name"] != own_link:
             yield from lasting.condition("link", link["name"], link["problem"], alarms.link_longer_than_s)
     for subject, text in _sensors(status, configuration):
+        if not subject:
+            lasting.keep(("sensor",))
         yield from lasting.condition("sensor", subject, text, alarms.sensor_longer_than_s)
 
 

@@ -264,7 +264,8 @@ class AlarmSink:
         if (computer := self._of_computer(ledger, now_utc_s)) is not None:
             found += computer
             judged |= {"disk", "certificate"}
-        ledger = ledger.seen([each for each in found if self._told(each.kind)], judged, now_utc_s)
+        wrong = [each for each in found if self._told(each.kind)]
+        ledger = ledger.seen(wrong, judged, now_utc_s, unjudged=lasting.one_of_many)
         since = tuple((*key, since) for key, since in lasting.since_utc_s.items())
         self._known = replace(known, track=track, ledger=ledger, since_utc_s=since)
 
