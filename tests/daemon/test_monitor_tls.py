@@ -1,6 +1,7 @@
 """The monitor opened beyond the computer: a real certificate, accounts, and what a browser may try."""
 
 import asyncio
+import base64
 import contextlib
 import fcntl
 import os
@@ -9,21 +10,23 @@ import ssl
 import subprocess
 import sys
 import termios
+from ipaddress import ip_address
+from types import MappingProxyType
 
 import pytest
 from certificates import HOST, make_certificate
 from cryptography.hazmat.primitives import serialization
-from monitor_bench import accounts_file, monitor
+from monitor_bench import PASSWORD, accounts_file, monitor
 
 from daemon.monitor.web import access
 
 
 @contextlib.asynccontextmanager
-async def opened(folder, **roles):
+async def opened(folder, service=MappingProxyType({}), **roles):
     """Serve with TLS and accounts."""
     trusted = make_certificate(folder)
     files = {"tls_certificate": folder / "monitor.crt", "tls_key": folder / "monitor.key"}
-    async with monitor(folder, trusted, users=accounts_file(folder, **roles), **files) as bench:
+    async with monitor(folder, trusted, users=accounts_file(folder, **roles), **files, **service) as bench:
         yield bench
 
 
@@ -57,6 +60,17 @@ async def test_a_person_logs_in_and_acts_through_tls(tmp_path):
         answer = await viewer.ask("POST", "/api/v1/disable", {})
         assert answer.status == 403 and "token" in answer.detail, "that of another session"
         assert any(rig.snapshots.control.wanted), "nothing of that has acted"
+
+
+async def test_behind_a_proxy_of_this_computer_the_metrics_take_an_account_too(tmp_path):
+    proxies = {"trusted_proxies": [ip_address("127.0.0.1")]}
+    async with opened(tmp_path, proxies, anna="viewer") as bench:
+        browser = bench.browser()
+        assert (await browser.get("/metrics")).status == 200, "Prometheus of this computer"
+        for as_a_proxy in ({"host": HOST}, {"x-forwarded-for": "10.9.8.7"}):
+            assert (await browser.get("/metrics", **as_a_proxy)).status == 401, as_a_proxy
+        basic = {"authorization": f"Basic {base64.b64encode(f'anna:{PASSWORD}'.encode()).decode()}"}
+        assert (await browser.get("/metrics", host=HOST, **basic)).status == 200
 
 
 async def test_a_session_that_ends_closes_its_live_events_too(tmp_path, monkeypatch):

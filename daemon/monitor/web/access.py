@@ -189,6 +189,11 @@ def address_of(request: Request) -> str:
     return request.client.host if request.client is not None else "unknown"
 
 
+def asked_here(request: Request) -> bool:
+    """Return whether a program of this computer asks for itself: a proxy passes on who asks, or by which name."""
+    return is_local_name(address_of(request)) and is_local_name(request.url.hostname or "")
+
+
 def is_local_name(name: str) -> bool:
     """Return whether a host name means this computer for every browser."""
     if name == "localhost":

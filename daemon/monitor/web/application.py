@@ -18,7 +18,7 @@ from config.schema import Configuration
 from daemon.monitor.accounts import Accounts
 from daemon.monitor.commands import CommandDesk
 from daemon.monitor.web import api_actions, api_history, api_now
-from daemon.monitor.web.access import Access, Report
+from daemon.monitor.web.access import Access, Report, asked_here
 from daemon.monitor.web.documents import Documents
 from daemon.monitor.web.downloads import Downloads
 from daemon.monitor.web.gate import Gate
@@ -165,7 +165,7 @@ _outside = APIRouter(include_in_schema=False)
 
 @_outside.get("/metrics")
 async def _metrics(request: Request) -> Response:
-    if not request.app.state.parts.configuration.service.http_is_local:
+    if not (request.app.state.parts.configuration.service.http_is_local and asked_here(request)):
         await request.app.state.access.viewer(request)
     text = await request.app.state.recorded.beside(lambda: generate_latest(request.app.state.parts.registry))
     return Response(text, media_type=CONTENT_TYPE_LATEST)
