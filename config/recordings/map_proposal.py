@@ -66,7 +66,9 @@ _DATES: tuple[str, ...] = (
     "%d.%m.%y",
     "%d/%m/%Y",
     "%m/%d/%Y",
+    "%Y-%m-%d",
     "%Y/%m/%d",
+    "%Y年%m月%d日",
     "%d-%m-%Y",
     "%Y%m%d",
     "%d %b %Y",
@@ -147,6 +149,8 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
     keys |= _time_keys(columns, described, notes)
     taken = {keys.get("time"), keys.get("date")}
     kinds = {name: _kind(described[name]) for name in numbers if name not in taken}
+    channels = [name for name, kind in kinds.items() if kind == "displacements"]
+    kinds |= {name: None for name in channels if _only_tells(described[name], columns[name])}
     small = [name for name, kind in kinds.items() if kind is None and _is_small(described[name], columns[name])]
     kinds |= dict.fromkeys(small, "displacements")
     if small:
@@ -155,12 +159,9 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
             "because they move and stay within 1 mm of zero"
         )
     speeds = [name for name, kind in kinds.items() if kind == "speed"]
-    if speeds:
-        speeds.sort(key=lambda name: _OF_SPINDLE.search(described[name]) is None)
-        keys["speed"] = speeds[0]
-        if (unit := unit_in(described[speeds[0]])) in RPM_PER_UNIT and unit != "1/min":
-            keys["speed_unit"] = unit
-        notes += [f"{len(speeds)} columns may be the spindle speed: {', '.join(map(repr, speeds))}"] * (len(speeds) > 1)
+    keys |= _speed_keys(
+        speeds, described, [text for name in speeds for text in missing if text in written[name]], notes
+    )
     temperatures = [name for name, its in kinds.items() if its == "temperatures"]
     in_unit = {name: _of_temperature(described[name], columns[name]) for name in temperatures}
     broken = _broken({name: columns[name] for name in temperatures if in_unit[name] is None})
@@ -195,6 +196,23 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
         lacking=tuple(key for key in ("time", "temperatures", "displacements") if key not in keys),
         notes=tuple(notes),
     )
+
+
+def _speed_keys(
+    speeds: list[str], described: Mapping[str, str], missing: Sequence[str], notes: list[str]
+) -> dict[str, Any]:
+    """Return the keys of the spindle speed; `missing`: texts that stand for no number in columns of speeds."""
+    if not speeds:
+        return {}
+    speeds.sort(key=lambda name: _OF_SPINDLE.search(described[name]) is None)
+    notes += [f"{len(speeds)} columns may be the spindle speed: {', '.join(map(repr, speeds))}"] * (len(speeds) > 1)
+    notes += [
+        f"{text!r} in {speeds[0]!r} counts as missing: where it means that the spindle stands, write 0 there"
+        for text in missing
+        if text.isalpha()
+    ]
+    unit = unit_in(described[speeds[0]])
+    return {"speed": speeds[0]} | ({"speed_unit": unit} if unit in RPM_PER_UNIT and unit != "1/min" else {})
 
 
 def _of_temperature(said: str, texts: Sequence[str]) -> str | None:
@@ -236,6 +254,12 @@ def _is_small(said: str, texts: Sequence[str]) -> bool:
     return len(known) >= FEWEST_SMALL and max(map(abs, known)) * UM_PER_UNIT[unit] < SMALL_UM
 
 
+def _only_tells(said: str, texts: Sequence[str]) -> bool:
+    """Return whether a column without a unit holds 0 and 1 and nothing else: it tells when something was measured."""
+    known = [number for text in texts if (number := _number(text)) is not None]
+    return _UM.search(said) is None and len(known) >= FEWEST_SMALL and set(known) == {0.0, 1.0}
+
+
 def _in_units_of_time(said: str) -> bool:
     """Return whether what is said of a column ends with a unit of time in brackets: `Tempo (s)` is no temperature."""
     found = _IN_BRACKETS.search(said)
@@ -274,18 +298,19 @@ def _time_keys(columns: dict[str, list[str]], described: dict[str, str], notes: 
                 joined = [f"{day} {text}" for day, text in zip(columns[date], columns[name], strict=True)]
                 if whole := _time_form(joined):
                     keys = {"time": name, "date": date, **whole}
+            first = f"{columns[keys['date']][0]} {columns[name][0]}" if "date" in keys else columns[name][0]
             if keys.get("time_format") in _OF_DAY:
                 return keys
             zone = "in UTC unless the map has a time_zone such as Europe/Zurich"
             if keys.get("time_format", "").startswith(("%d/", "%m/")):
                 of_day = keys.get("date", name)
-                first = datetime.strptime(columns[of_day][0].split()[0], keys["time_format"].split()[0])
+                day = datetime.strptime(first.split()[0], keys["time_format"].split()[0])
                 notes.append(
-                    f"{of_day!r}: is the day or the month first? The first row is read as {first:%d %B %Y}; where that "
+                    f"{of_day!r}: is the day or the month first? The first row is read as {day:%d %B %Y}; where that "
                     f"is wrong, exchange %d and %m. And it is taken to be {zone}"
                 )
             elif "time_format" in keys or (
-                keys.get("time_unit") == "iso" and datetime.fromisoformat(columns[name][0]).tzinfo is None
+                keys.get("time_unit") == "iso" and datetime.fromisoformat(first).tzinfo is None
             ):
                 notes.append(f"{name!r} is taken to be {zone}")
             return keys

@@ -262,8 +262,11 @@ def _time(place: Place, form: _Form, fields: list[str], read_time: TimeReader, *
             raise place.refuse("the names of the columns come again; split the file where the logger was restarted")
         if has_thousands(text):
             raise place.refuse(f"{text!r} has a mark that separates thousands; export without it", column)
-        wanted = form.recording_map.time_format
-        sentence = "in the unit that the map gives" if wanted is None else f"of the form {wanted} that the map gives"
+        wanted, unit = form.recording_map.time_format, form.recording_map.time_unit
+        sentence = "as ISO 8601 writes it" if wanted is None else f"of the form {wanted} that the map gives"
+        if wanted is None and unit != "iso":
+            advice = "where it is a date or a time of day, say time_unit: iso or time_format in a map"
+            sentence = f"in {unit}; {advice}"
         if first and not form.recording_map.unit_row and not any(is_number(text.replace(",", ".")) for text in fields):
             sentence += "; where this row holds units, say unit_row: true in the map"
         raise place.refuse(f"{text!r} is not a time {sentence}", column)

@@ -37,6 +37,8 @@ def test_what_is_printed_is_the_map_with_what_a_person_must_look_at() -> None:
     ("times", "form"),
     [
         (("2026-01-31 07:00:00", "2026-01-31 07:00:01"), {"time_unit": "iso"}),
+        (("2026-01-31 07:00:00 PM", "2026-01-31 07:00:01 PM"), {"time_format": "%Y-%m-%d %I:%M:%S %p"}),
+        (("2026年1月31日 7:00:00", "2026年1月31日 7:00:01"), {"time_format": "%Y年%m月%d日 %H:%M:%S"}),
         (("31.01.2026 07:00", "31.01.2026 07:01"), {"time_format": "%d.%m.%Y %H:%M"}),
         (("01/31/2026 07:00:00 AM", "01/31/2026 07:00:02 AM"), {"time_format": "%m/%d/%Y %I:%M:%S %p"}),
         (("07:00:00,5", "07:00:01,0"), {"time_format": "%H:%M:%S,%f"}),
@@ -80,6 +82,23 @@ def test_minutes_that_come_twice_are_said_once_and_no_date_is_blamed() -> None:
     fields = [["2025-03-03", "07:00", "20.1", "1"], ["2025-03-03", "07:00", "20.2", "2"]]
     (note,) = propose_map(["Date", "Time", "T1", "X_um"], fields).notes
     assert note.startswith("'Time' says the same time in rows one after the other")
+
+
+def test_date_and_time_as_iso_8601_writes_them_may_stand_in_two_columns() -> None:
+    found = propose_map(["Date", "Time", "T1", "X_um"], rows("2026-02-01|07:00:00", "2026-02-01|07:00:10", fields=4))
+    assert {key: found.keys[key] for key in ("date", "time", "time_unit")} == {
+        "date": "Date",
+        "time": "Time",
+        "time_unit": "iso",
+    }
+    assert found.notes[0].startswith("'Time' is taken to be in UTC")
+
+
+def test_a_column_that_tells_when_a_probe_measured_is_no_displacement_and_a_word_is_no_standstill() -> None:
+    fields = [[f"{10 * row}", "OFF" if row < 3 else "900", "20.1", f"{row % 3}", f"{row % 2}"] for row in range(12)]
+    found = propose_map(["time_s", "speed", "T1", "Z_um", "probe trigger"], fields)
+    assert found.keys["displacements"] == ["Z_um"] and found.left_out == ("probe trigger",)
+    assert found.notes == ("'OFF' in 'speed' counts as missing: where it means that the spindle stands, write 0 there",)
 
 
 def test_a_time_of_day_has_no_zone() -> None:

@@ -18,6 +18,11 @@ from models.thermal.family import ThermalModel, model_from_json
 
 NAMES = ("Temp Spindel [°C]", "Temp Bett (°C)", "Temp Raum [°C]", "Temp Motor [°C]")
 
+MAP = (
+    "time: Uhrzeit\ndate: Datum\ntime_format: '%d.%m.%Y %H:%M:%S'\nspeed: Drehzahl [1/min]\n"
+    "temperatures: ['Temp*']\ndisplacements: ['Weg*']\n"
+)
+
 
 def foreign(path: Path, seed: int, *, without: str = "", stuck: int | None = None, encoding: str = "utf-8") -> Path:
     """A run of five hours at two speeds, as a German logger writes it."""
@@ -81,13 +86,32 @@ def test_with_map_out_a_foreign_csv_becomes_a_model_in_one_go(tmp_path: Path, en
     assert json.loads(evaluated.stdout)["mean"]["reduction_rmse"] > 0.8
 
 
+def test_files_of_one_name_in_several_folders_are_told_apart(tmp_path: Path) -> None:
+    for number in range(4):
+        (tmp_path / f"day{number}").mkdir()
+    files = [foreign(tmp_path / f"day{number}" / "log.csv", number) for number in range(4)]
+    (columns := tmp_path / "map.yaml").write_text(MAP, encoding="utf-8")
+    options = ("--map", columns, "--model", "ridge", "--json", "-")
+    found = json.loads(thermal("evaluate", *files, "--leave-out-runs", *options).stdout)
+    names = [f"day{number}/log.csv" for number in range(4)]
+    assert [test["name"] for test in found["tests"]] == names == list(found["hyper_parameters"])
+    trained = thermal("train", *files, "--without", "day2/log.csv", "-o", tmp_path / "model.json", *options)
+    assert json.loads(trained.stdout)["recordings_left_out"] == ["day2/log.csv"], "it left out all of them"
+
+
+@pytest.mark.parametrize("clock", ["2026-02-05T07:{:02}:00", "07:{:02}:00"])
+def test_a_time_of_a_usual_name_that_is_no_number_makes_a_map(tmp_path: Path, clock: str) -> None:
+    rows = [f"{clock.format(minute)},{20 + minute},{minute}" for minute in range(9)]
+    (path := tmp_path / "day.csv").write_text("\n".join(["time,T1,Z1_um", *rows]) + "\n", encoding="utf-8")
+    proposed = thermal("train", path, "-o", tmp_path / "model.json")
+    assert "time: time" in proposed.stdout and "or take it as it is with --map-out" in proposed.stderr
+    refused = thermal("evaluate", path, "--leave-out-cycles")
+    assert "is not a time in s; where it is a date or a time of day, say" in refused.stderr
+
+
 def test_columns_that_differ_are_named_and_the_common_ones_offered(tmp_path: Path) -> None:
     files = runs(tmp_path, without=NAMES[2])
-    (good := tmp_path / "map.yaml").write_text(
-        "time: Uhrzeit\ndate: Datum\ntime_format: '%d.%m.%Y %H:%M:%S'\nspeed: Drehzahl [1/min]\n"
-        "temperatures: ['Temp*']\ndisplacements: ['Weg*']\n",
-        encoding="utf-8",
-    )
+    (good := tmp_path / "map.yaml").write_text(MAP, encoding="utf-8")
     for command in (["train", "-o", tmp_path / "model.json"], ["evaluate", "--leave-out-runs"]):
         refused = thermal(command[0], *files, "--map", good, *command[1:])
         assert refused.exit_code == 2

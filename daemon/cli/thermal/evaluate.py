@@ -85,7 +85,7 @@ def evaluate(
     from config.recordings.recording_map import load_recording_map
     from daemon.workbench.thermal.evaluation import Protocol, read_recordings
     from daemon.workbench.thermal.evaluation import evaluate as evaluated
-    from daemon.workbench.thermal.reading import columns_left_out
+    from daemon.workbench.thermal.reading import columns_left_out, names_of
     from daemon.workbench.thermal.result_pages import Stretch, evaluation_page
 
     leave_out = _protocol(train_hours, test_hours, leave_out_cycles, leave_out_runs)
@@ -101,7 +101,7 @@ def evaluate(
     found["warnings"] = list(warnings)
     found["columns_left_out"] = columns_left_out(recordings, recording_map) if common_columns else []
     if html_path is not None:
-        title = f"{model} on {', '.join(path.name for path in recordings[:3])}{' ...' * (len(recordings) > 3)}"
+        title = f"{model} on {', '.join(names_of(recordings)[:3])}{' ...' * (len(recordings) > 3)}"
         write_page(html_path, evaluation_page(title, found, stretches))
     _show(found)
     write_json(json_path, found)

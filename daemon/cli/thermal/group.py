@@ -133,7 +133,7 @@ def train(
     """
     from config.recordings.recording_map import load_recording_map
     from daemon.workbench.thermal.prior import read_machine_type, train_with_prior
-    from daemon.workbench.thermal.reading import columns_left_out
+    from daemon.workbench.thermal.reading import columns_left_out, names_of
     from daemon.workbench.thermal.training import (
         Selection,
         increments_summary,
@@ -180,7 +180,8 @@ def train(
         refuse(f"{output}: the model cannot be written ({error.strerror})")
     found = increments_summary(result, output) if family is None else summary(result, output)
     kept = kept_paths(recordings, selection) if recordings else recordings
-    found["recordings_left_out"] = [path.name for path in recordings if path not in kept]
+    called = zip(recordings, names_of(recordings), strict=True)
+    found["recordings_left_out"] = [name for path, name in called if path not in kept]
     found["columns_left_out"] = columns_left_out(kept, recording_map) if common_columns else []
     _show(found)
     if family is None:

@@ -1,6 +1,7 @@
 """Reads several recordings alike: one map for all, the same columns in the same order, or which of them differ."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -30,10 +31,22 @@ def read_alike(
     else:
         _require_alike(paths, recording_map)
     recordings: list[Recording] = []
-    for number, path in enumerate(paths, start=1):
-        recordings.append(_in_order(read_recording(path, recording_map), recordings))
+    for number, (path, name) in enumerate(zip(paths, names_of(paths), strict=True), start=1):
+        recordings.append(_in_order(replace(read_recording(path, recording_map), name=name), recordings))
         progress("reading", number, len(paths))
     return recordings
+
+
+def names_of(paths: Sequence[Path]) -> list[str]:
+    """Return what recordings are called: each as its file, with so much of its folder as tells it from the others."""
+    whole = [path.parts for path in paths]
+    longest = max(map(len, whole), default=1)
+    found = []
+    for parts in whole:
+        ends = (parts[-count:] for count in range(1, longest + 1))
+        alone = (end for end in ends if sum(other[-len(end) :] == end for other in whole) == 1)
+        found.append(str(Path(*next(alone, parts))))
+    return found
 
 
 def _in_order(recording: Recording, before: Sequence[Recording]) -> Recording:
@@ -116,13 +129,13 @@ def _shared(lists: Sequence[Sequence[str]]) -> list[str]:
 def _differing(paths: Sequence[Path], found: Sequence[dict[str, list[str]]], headers: Sequence[Sequence[str]]) -> str:
     every = {name for columns in found for names in columns.values() for name in names}
     sentences = []
-    for path, columns, header in zip(paths, found, headers, strict=True):
+    for name, columns, header in zip(names_of(paths), found, headers, strict=True):
         held = {name for names in columns.values() for name in names}
         if lacking := sorted(every - held):
             rest = f" and {len(lacking) - MOST_NAMED} more" if len(lacking) > MOST_NAMED else ""
-            own = [name for name in header if name and sum(name in other for other in headers) == 1]
+            own = [column for column in header if column and sum(column in other for other in headers) == 1]
             called = f" and alone has {', '.join(own[:MOST_NAMED])} (the same under another name?)" if own else ""
-            sentences.append(f"{path.name} lacks {', '.join(lacking[:MOST_NAMED])}{rest}{called}")
+            sentences.append(f"{name} lacks {', '.join(lacking[:MOST_NAMED])}{rest}{called}")
     return "; ".join(sentences)
 
 
@@ -146,7 +159,7 @@ def proposal(path: Path) -> tuple[MapProposal, list[str] | None]:
         columns = {kind: names for kind, names in matching_names(usual, header).items() if kind in KINDS and names}
     except ColumnError:
         return found, None
-    if found.keys.get("unit_row"):
+    if found.keys.get("unit_row") or (usual.time_unit != "iso" and _is_of_text(found)):
         return found, None
     keys = usual.model_dump(exclude_unset=True, exclude_none=True) | columns
     unread = []
@@ -161,6 +174,11 @@ def proposal(path: Path) -> tuple[MapProposal, list[str] | None]:
     said = ("temperature_units", "displacement_units", "missing", "encoding")
     keys |= {key: found.keys[key] for key in said if key in found.keys}
     return MapProposal(keys=keys, left_out=(), lacking=(), notes=()), unread
+
+
+def _is_of_text(found: MapProposal) -> bool:
+    """Return whether the times are dates or times of day, which no usual name but utc holds."""
+    return "time_format" in found.keys or found.keys.get("time_unit") == "iso"
 
 
 def _all_of(keys: Mapping[str, Any]) -> set[str]:

@@ -87,7 +87,8 @@ def thermal_report(recording: Recording, model: ThermalModel | None, choices: Re
         "recording": recording.name,
         "hours": round(float(series.time_min[-1] - series.time_min[0]) / 60.0, 4),
         "model": None if model is None else model.model_id,
-        "seen_in_training": model is not None and any(data.name == recording.name for data in model.training),
+        "seen_in_training": model is not None
+        and any(data.name.rpartition("/")[2] == recording.name for data in model.training),
         "rotations": [_rotation(series, stretch) for stretch in turns],
         "environment": _environment(recording, series.time_min, stands, choices),
         "drift": {"ahead_min": choices.ahead_min, "tolerance_um": choices.tolerance_um},

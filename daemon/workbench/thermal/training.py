@@ -14,7 +14,7 @@ from config.files import write_whole
 from config.recordings.recording_map import RecordingMap
 from config.schema.base import NAME_PATTERN
 from daemon.telemetry.metrics import keep_one_heap
-from daemon.workbench.thermal.reading import read_alike
+from daemon.workbench.thermal.reading import names_of, read_alike
 from drivers.files.recording_origin import machine_of
 from models.json_values import finite_or_none
 from models.recordings.dataset import DatasetError, Recording
@@ -82,10 +82,10 @@ def selected_recordings(
 
 def kept_paths(paths: Sequence[Path], selection: Selection) -> list[Path]:
     """Return the recordings that are trained on; raises DatasetError where a name is unknown or nothing is left."""
-    names = [path.name for path in paths]
+    names = names_of(paths)
     if unknown := [name for name in selection.without if name not in names]:
         raise DatasetError(f"--without {unknown[0]}: there is no such recording; there are {', '.join(names)}")
-    kept = [path for path in paths if path.name not in selection.without]
+    kept = [path for path, name in zip(paths, names, strict=True) if name not in selection.without]
     if selection.recent is not None:
         if selection.recent > len(kept):
             raise DatasetError(f"--recent {selection.recent}: there are {len(kept)} recordings; name a smaller number")
