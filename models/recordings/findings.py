@@ -8,6 +8,7 @@ import numpy as np
 
 from models.recordings.blocks import contiguous_runs
 from models.recordings.dataset import DatasetError, Recording
+from models.recordings.displacement_steps import largest_jump, repetition
 from models.recordings.exchanged_sensors import Exchange, exchanges
 from models.recordings.overlaps import without_overlaps
 from models.recordings.plausibility import (
@@ -98,6 +99,7 @@ def recording_findings(recording: Recording, rows_together: int | None = None) -
         *_columns(possible, recording, alone=rows_together in (None, recording.rows)),
         *_temperature_units(possible),
         *_displacement_units(possible),
+        *_steps(possible),
         *_exchanged(possible),
         *_shortness(possible),
     ]
@@ -436,6 +438,25 @@ def _displacement_units(recording: Recording) -> Iterator[Finding]:
                 "the channel out"
             )
             yield _warning(name, None, sentence)
+
+
+def _steps(recording: Recording) -> Iterator[Finding]:
+    """Yield displacements that jump, or repeat what a probe measured last."""
+    for name, um in zip(recording.displacement_names, recording.displacements_um.T, strict=True):
+        if (repeated := repetition(recording.time_s, um)) is not None:
+            sentence = (
+                f"repeats its value for {repeated.for_s / 60.0:.0f} min as a rule, and then steps by "
+                f"{repeated.step_um:.2g} um: where a probe measures now and then, leave the fields between empty, or "
+                "the model is fitted on what was measured so long before"
+            )
+            yield _warning(name, recording.rows_before + repeated.row + 1, sentence)
+        elif (jump := largest_jump(recording.time_s, um, recording.speed_rpm)) is not None:
+            sentence = (
+                f"jumps by {jump.by_um:.3g} um from the row before to this one, while the speed stays the same, and "
+                "goes on from there: was the sensor set to zero, knocked or mounted anew? Cut the file there, or the "
+                "model is fitted on the jump"
+            )
+            yield _warning(name, recording.rows_before + jump.row + 1, sentence)
 
 
 def _exchanged(recording: Recording) -> Iterator[Finding]:

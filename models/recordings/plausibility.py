@@ -22,6 +22,8 @@ ZERO_UM = 5.0
 """Nor is exactly zero, now and then, where every other value is farther from it than this, ..."""
 ZERO_STEPS = 10.0
 """... and than so many of the largest steps between those, in the order of their size."""
+FEWEST_PROBED = 3
+"""So many single values between zeros are those of a probe."""
 RISE_START_K = 0.5
 """Where every temperature begins so near to zero, rises since the start were recorded: no workshop is so cold."""
 RISES_FROM_DEGC = 20.0
@@ -67,7 +69,7 @@ def impossible_displacements(displacements_um: FloatArray) -> BoolArray:
     `displacements_um`, shape (n, n_channels): displacements [um], NaN where missing.
     """
     far_um = np.abs(displacements_um - column_medians(displacements_um))
-    wrong = _of_few((far_um > FARTHEST_UM) | _apart(displacements_um), far_um)
+    wrong = _of_few((far_um > FARTHEST_UM) | _apart(displacements_um), far_um) | _between_probes(displacements_um)
     return np.asarray(wrong & (column_medians(far_um) <= USUAL_SPREAD_UM))
 
 
@@ -83,6 +85,17 @@ def _apart(table: FloatArray) -> BoolArray:
             least_um = max(ZERO_UM, ZERO_STEPS * float(np.diff(others).max()))
             found[:, place] |= zeros & bool(np.abs(others).min() > least_um)
     return found
+
+
+def _between_probes(table: FloatArray) -> BoolArray:
+    """Return where a column is 0 because nothing was measured: in most rows, and what is not 0 stands alone."""
+    zero = table == 0.0
+    other = np.pad(np.isfinite(table) & ~zero, ((1, 1), (0, 0)))
+    alone = other[1:-1] & ~other[:-2] & ~other[2:]
+    probed = (
+        (2 * zero.sum(axis=0) > len(table)) & (alone.sum(axis=0) >= FEWEST_PROBED) & (alone == other[1:-1]).all(axis=0)
+    )
+    return np.asarray(zero & probed)
 
 
 def impossible_speeds(speed_rpm: FloatArray) -> BoolArray:

@@ -7,7 +7,7 @@ import pytest
 
 from daemon.workbench.thermal.evaluation import Protocol, evaluate
 from models.recordings.dataset import DatasetError, Recording
-from models.recordings.findings import usable_recordings
+from models.recordings.findings import recording_findings, usable_recordings
 from models.thermal.features import lag_table
 from models.thermal.training.folds import fold_segments, inner_folds
 from models.thermal.training.inputs import build_inputs
@@ -38,6 +38,32 @@ def run(number: int, every_min: int | None = None) -> Recording:
         temperatures_degc=21.0 + 12.0 * body @ shares + rng.normal(0.0, 0.03, (len(rpm), SENSORS)),
         displacement_names=("Z",),
         displacements_um=um,
+    )
+
+
+def test_a_value_that_is_repeated_until_the_next_one_is_told_and_zeros_between_are_none() -> None:
+    whole = run(1)
+    um = whole.displacements_um
+    held, between = um[np.arange(len(um)) // 30 * 30], np.where((np.arange(len(um)) % 30 == 0)[:, None], um, 0.0)
+    (said,) = [one for one in recording_findings(replace(whole, displacements_um=held)) if one.column == "Z"]
+    assert "repeats its value for 30 min as a rule" in said.sentence and said.row == 2
+    coarse = replace(whole, displacements_um=np.round(um / 5.0) * 5.0)
+    assert [one for one in recording_findings(coarse) if "repeats" in one.sentence] == [], "a sensor may be coarse"
+    possible = replace(whole, displacements_um=between).without_impossible()
+    assert np.array_equal(possible.displacements_um, np.where(between == 0.0, np.nan, between), equal_nan=True)
+
+
+def test_a_displacement_that_was_set_to_zero_on_the_way_is_told() -> None:
+    whole = run(1)
+    assert [one for one in recording_findings(whole) if one.column == "Z"] == []
+    um = whole.displacements_um.copy()
+    um[150:] -= 35.0
+    (said,) = [one for one in recording_findings(replace(whole, displacements_um=um)) if one.column == "Z"]
+    assert said.row == 151 and "jumps by -3" in said.sentence and "Cut the file there" in said.sentence
+    um = whole.displacements_um.copy()
+    um[150] -= 35.0
+    assert [one for one in recording_findings(replace(whole, displacements_um=um)) if one.column == "Z"] == [], (
+        "it returns"
     )
 
 
