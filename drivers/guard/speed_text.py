@@ -9,7 +9,7 @@ from config.schema import Configuration
 from config.schema.spindle_speed import SpindleSpeedConfig
 from drivers.guard.text import LONGEST_LINE, RETRIES, RETRY_MS, GuardPrograms, GuardTextError, decimal, filled
 
-SPEED_PROGRAM_VERSION = 4
+SPEED_PROGRAM_VERSION = 5
 SPEED_CHECK_MISSING = (
     "spindle_speed.macros.check names no variable, so the speed program cannot recognise a foreign value in its block, "
     "and no speed is tuned: name one within `cnc.macros.writable` that nothing else uses, and load the text that "

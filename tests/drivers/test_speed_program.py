@@ -33,8 +33,8 @@ class SpeedBench:
     """A FANUC with the speed program."""
 
     dialect = "fanuc"
-    edge = (130, 131, 132)
-    """Alarms: a wrong call, inch, no feed per minute."""
+    edge = (130, 131, 132, 133)
+    """Alarms: a wrong call, inch, no feed per minute, S in m/min."""
 
     def __init__(self, folder: Path, **changes: object) -> None:
         self.configuration = in_dialect(speed_machine(folder, **changes), self.dialect)
@@ -49,7 +49,8 @@ class SpeedBench:
         return control, Interpreter(compile_programs(speed_program(self.configuration)), control)
 
     def feed_otherwise(self, code: int) -> None:
-        """Set the group of G93, G94 and G95."""
+        """Set the group of G93, G94 and G95, or G96."""
+        self.control.set_modal(97 if code == 94 else 94)
         self.control.set_modal(code)
 
     def inch(self) -> None:
@@ -78,7 +79,7 @@ class SinumerikSpeedBench(SpeedBench):
     """A SINUMERIK with the guard's programs beside it, one of which starts the clock."""
 
     dialect = "sinumerik"
-    edge = (140, 141, 142)
+    edge = (140, 141, 142, 142)
 
     def made(self) -> tuple[Any, Any]:
         control = SinumerikControl(self.macros, addresses=["X", "Y", "Z"], increment_mm=0.001)
@@ -90,7 +91,7 @@ class SinumerikSpeedBench(SpeedBench):
         return control, interpreter
 
     def feed_otherwise(self, code: int) -> None:
-        self.control.groups[15] = {93: 1, 94: 2, 95: 3}[code]
+        self.control.groups[15] = {93: 1, 94: 2, 95: 3, 96: 4}[code]
 
     def inch(self) -> None:
         self.control.groups[13] = 1
@@ -291,13 +292,13 @@ def test_without_a_variable_for_the_check_there_is_no_text(kind: type[SpeedBench
         speed_program(in_dialect(speed_machine(tmp_path, macros=unchecked), kind.dialect))
 
 
-@pytest.mark.parametrize("code", [93, 95])
-def test_a_feed_that_is_not_per_minute_is_an_alarm(bench: SpeedBench, code: int) -> None:
+@pytest.mark.parametrize("code", [93, 95, 96])
+def test_a_feed_or_speed_that_is_not_per_minute_is_an_alarm(bench: SpeedBench, code: int) -> None:
     bench.write(PAIR)
     bench.feed_otherwise(code)
     bench.interpreter.run(9020, **CALL)
     assert bench.control.alarm is not None
-    assert bench.control.alarm[0] == bench.edge[2]
+    assert bench.control.alarm[0] == bench.edge[3 if code == 96 else 2]
     assert (bench.control.spindle_rpm, bench.macros.get(MACROS.calls)) == (0.0, None)
     bench.control.alarm = None
     bench.feed_otherwise(94)

@@ -19,7 +19,7 @@ TIMER_WRAP_MS = 2_147_483_648
 """#3001 begins again from 0 here."""
 MM_PER_INCH = 25.4
 MESSAGES_KEPT = 20
-DEFAULT_MODALS = {3: 90, 5: 94, 6: 21, 7: 40, 9: 80}
+DEFAULT_MODALS = {2: 17, 3: 90, 5: 94, 6: 21, 7: 40, 9: 80, 13: 97}
 """G code that is active in each modal group after power-on and reset."""
 
 
@@ -95,7 +95,7 @@ class MacroControl:
 
     def set_modal(self, code: int) -> None:
         """Make a modal G code the active one of its group."""
-        group = {90: 3, 91: 3, 93: 5, 94: 5, 95: 5, 20: 6, 21: 6}.get(code)
+        group = {90: 3, 91: 3, 93: 5, 94: 5, 95: 5, 20: 6, 21: 6, 96: 13, 97: 13}.get(code)
         if group is None:
             raise NcError(f"G{code} is not known here")
         self.modal[group] = code
