@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 
 from config.schema.service import HistoryConfig
 from daemon.history import rows
-from daemon.history.database import OlderStoreError, connect_writer
-from daemon.history.engine import Engine
+from daemon.history.database import HistoryError, OlderStoreError, connect_writer
+from daemon.history.engine import Engine, cause_in_words
 from daemon.history.intake import Commit, Entry, Execute, Intake, LayoutIds
 from daemon.history.layout import MachineLayout
 from daemon.history.reader import HistoryReader
@@ -289,13 +289,16 @@ class HistoryWriter:
         if not self.path.is_file() or self.path.stat().st_size == 0:
             return None
         try:
-            reader = HistoryReader(self.path, also_on_full_disk=True)
-        except OlderStoreError:
-            self._lock.acquire()
-            connect_writer(self.path).close()
-            reader = HistoryReader(self.path, also_on_full_disk=True)
-        with reader:
-            return question(reader)
+            try:
+                reader = HistoryReader(self.path, also_on_full_disk=True)
+            except OlderStoreError:
+                self._lock.acquire()
+                connect_writer(self.path).close()
+                reader = HistoryReader(self.path, also_on_full_disk=True)
+            with reader:
+                return question(reader)
+        except sqlite3.Error as error:
+            raise HistoryError(f"{self.path}: {cause_in_words(error)}") from error
 
     # --- jobs ----------------------------------------------------------------------------
 

@@ -12,6 +12,7 @@ from config.files import sha256_of
 from daemon.backup import making
 from daemon.backup.manifest import BackupError
 from daemon.backup.restoring import disarm, read_manifest
+from daemon.history import database
 from daemon.history.columns.kinds import TEMPERATURES
 from daemon.history.database import HistoryError, schema_version
 from daemon.history.reader import HistoryReader
@@ -68,8 +69,6 @@ def test_the_first_start_brings_it_up_to_date_and_loses_nothing(store: Path) -> 
 
 
 def test_a_migration_that_breaks_off_leaves_the_old_store(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from daemon.history import database
-
     scripts = [
         *database.schema_scripts(),
         (schema_version() + 1, "CREATE TABLE more (x); INSERT INTO nowhere VALUES (1);"),
@@ -82,6 +81,18 @@ def test_a_migration_that_breaks_off_leaves_the_old_store(store: Path, monkeypat
     with closing(sqlite3.connect(store)) as connection:
         assert connection.execute("SELECT count(*) FROM sqlite_master WHERE name = 'more'").fetchone() == (0,)
         assert connection.execute("SELECT count(*) FROM writes").fetchone() == (6,)
+
+
+def test_a_start_that_cannot_bring_it_up_to_date_says_why(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Such as on a full disk; the service is started again until it can."""
+    monkeypatch.setattr(database, "BUSY_TIMEOUT_S", 0.01)
+    writer = HistoryWriter(store, clock=StillClock(EPOCH_S + 100.0), machine=SMALL)
+    with closing(sqlite3.connect(store, isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        with pytest.raises(HistoryError, match=r"history\.sqlite: another program has locked it; close that program"):
+            writer.get_state("wanted")
+    assert writer.get_state("wanted") == {"X": False, "Y": False, "Z": True}
+    writer.close()
 
 
 def test_an_older_program_refuses_a_newer_store_and_leaves_it_alone(store: Path) -> None:
@@ -99,7 +110,7 @@ def old_backup(folder: Path, store: Path) -> Path:
     """Return a back-up as the earlier version made it: its store has the older tables."""
     configuration = b"machine: none\n"
     sources = [
-        making.Source(name="store/history.sqlite", came_from=store, copy=store),
+        making.Source(name="store/history.sqlite", came_from=store, unchanged=store),
         making.Source(name="configuration/toolpoint.yaml", came_from=folder / "toolpoint.yaml", content=configuration),
     ]
     manifest = making.Manifest(
