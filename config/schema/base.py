@@ -52,7 +52,7 @@ WEBHOOK_PATTERN = r"^https?://[!-.0->A-~]+([/?][!-~]*)?$"
 MAIL_ADDRESS_PATTERN = r"^[A-Za-z0-9.!#$%&'*+/=?^_`{|}~-]+@[A-Za-z0-9.-]+$"
 
 FORMS = {
-    NAME_PATTERN: "letters, digits and underscores, a letter first",
+    NAME_PATTERN: "letters from A to Z, digits and underscores, a letter first",
     AXIS_PATTERN: "the letter of an axis, such as Z, or a letter and a digit",
     CHANNEL_PATTERN: "text on one line, without a blank at either end",
     RANGE_PATTERN: "a range such as 7-12",

@@ -160,7 +160,8 @@ def _header(picture: Mapping[str, Any]) -> Text:
     elif output["notices"]:
         line.append(f"\n{output['notices'][-1]}", style="dim")
     if problem := picture["model"].get("problem"):
-        line.append(f"\nmodel refused: {problem}", style="red")
+        beginning = "model refused" if picture["model"].get("model_id") else "no model in force"
+        line.append(f"\n{beginning}: {problem}", style="red")
     if waits := picture["model"].get("waits"):
         line.append(f"\nmodel {waits}", style="yellow")
     if speed := picture.get("spindle_speed"):

@@ -107,7 +107,7 @@ CHANNEL = {"name": "Z1", "column": "Z1"}
         ("temperatures.lines.0.grammar", {}, "temperatures.lines[0].grammar", "only then"),
         ("temperatures.lines.0.profile", "custom", "temperatures.lines[0].profile", "give `grammar`"),
         ("temperatures.sensors.1", {"id": 1, **SENSOR}, "temperatures.sensors[1].id", "sensor 1 is listed twice"),
-        ("temperatures.sensors.0.label", "a b", "temperatures.sensors[0].label", "letters, digits and underscores"),
+        ("temperatures.sensors.0.label", "a b", "temperatures.sensors[0].label", "letters from A to Z, digits"),
         ("temperatures.cleansing.min_degc", 200.0, "temperatures.cleansing.min_degc", "below max_degc"),
         ("displacements", {"file": FILE, "channels": [CHANNEL, CHANNEL]}, "displacements.channels[1].name", "same"),
         (

@@ -106,6 +106,10 @@ def test_the_reason_of_a_fault_is_said_once():
     assert text.count(why) == 1 and "`toolpoint acknowledge` clears it" in text
 
 
+def test_a_machine_without_a_model_is_not_told_that_one_was_refused():
+    assert "no model in force: model.json: nobody has released this model" in shown(status_view(PICTURE))
+
+
 def test_where_the_machine_stands_is_said_in_english():
     at_rest = PICTURE | {"output": PICTURE["output"] | {"phase": "safe point"}}
     assert "the machine is at a safe point" in shown(status_view(at_rest))

@@ -371,13 +371,15 @@ async def test_a_write_that_a_lost_connection_took_is_to_be_looked_up_and_is_no_
         await expect(line).to_contain_text("what became of the others: History, by outcome")
 
 
-async def test_a_link_that_is_back_says_when_it_was_lost(tmp_path):
+async def test_a_link_that_is_back_says_when_it_was_lost_and_a_long_name_widens_no_page(tmp_path):
     lost = {"attempts": 2, "failures": 1, "losses": 1, "last_problem": "no answer", "last_problem_utc_s": 1.75e9}
     async with monitor(tmp_path) as bench, chromium() as browser:
         bench.rig.snapshots.links = (LinkSnapshot(name="cnc", up=True, problem="", **lost),)
+        bench.rig.snapshots.links += (LinkSnapshot(name="modbus " + "Betriebswerk" * 12, up=True, problem="", **lost),)
         seen = await watched(browser, f"http://127.0.0.1:{bench.port}/", timezone_id="Europe/Berlin")
         await seen.open("overview")
         await expect(seen.page.locator("main")).to_contain_text("lost once, 2025-06-15 17:06:40: no answer")
+        assert await seen.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         assert seen.said == []
 
 

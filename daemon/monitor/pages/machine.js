@@ -60,7 +60,7 @@ export class MachineDrawing {
 
   component(name, sensors, [x, y, width, height], choose) {
     const group = s("g", {}, s("rect", { class: "zone", x, y, width, height, rx: 8 }),
-      s("text", { x: x + 8, y: y + 20 }, name), s("text", { class: "small", x: x + width - 8, y: y + 20, "text-anchor": "end" }, sensors.length));
+      s("svg", { x: x + 8, y, width: width - 44, height: 30 }, s("title", {}, name), s("text", { x: 0, y: 20 }, name)), s("text", { class: "small", x: x + width - 8, y: y + 20, "text-anchor": "end" }, sensors.length));
     const free = { width: width - 16, height: height - 38 };
     let step = 26;
     while (step > 4 && Math.floor(free.width / step) * Math.floor(free.height / step) < sensors.length) step -= 0.5;
