@@ -10,6 +10,7 @@ import json
 import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
@@ -201,11 +202,15 @@ class _ObjectStore:
             return _read(file, columns)
 
     def put(self, name: str, content: bytes) -> None:
-        path = f"{self._root}/{name}"
-        with self._files.open_output_stream(path) as stream:
-            stream.write(content)
-        if (size := self._files.get_file_info(path).size) != len(content):
-            raise OSError(f"of {len(content)} bytes {size or 0} stand there afterwards")
+        path, size = f"{self._root}/{name}", None
+        for _ in range(2):
+            with self._files.open_output_stream(path) as stream:
+                stream.write(content)
+            if (size := self._files.get_file_info(path).size) == len(content):
+                return
+        with suppress(OSError):
+            self._files.delete_file(path)  # it would be taken for a file of somebody else, which is left alone
+        raise OSError(f"of {len(content)} bytes {size or 0} stand there afterwards")
 
 
 def _read(file: Path | io.BytesIO | pyarrow.NativeFile, columns: list[str] | None) -> pyarrow.Table:

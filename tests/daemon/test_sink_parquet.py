@@ -1,13 +1,16 @@
 """The history as Parquet files by machine and day: whole files, each row once, read by DuckDB as the page says."""
 
+import contextlib
 import errno
 import os
 import random
 import re
 import resource
 import threading
+from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 
 import history_records as make
 import numpy as np
@@ -26,8 +29,9 @@ from daemon.sinks.running import SinkRunner
 
 pyarrow = pytest.importorskip("pyarrow", reason="pyarrow is not installed")
 parquet = pytest.importorskip("pyarrow.parquet")
+fs = pytest.importorskip("pyarrow.fs")
 
-from daemon.sinks.parquet import ParquetSink  # noqa: E402 - needs pyarrow
+from daemon.sinks.parquet import ParquetSink, _ObjectStore  # noqa: E402 - needs pyarrow
 
 PAGE = Path(__file__).parents[2] / "docs/how-to/send-history-to-a-plant.md"
 DAY_S = 86_400.0
@@ -305,6 +309,50 @@ def test_an_object_store_that_refuses_is_named_without_its_keys(
     assert "Request ID" not in problem, "another number every time would be a new problem for the log"
     assert said in problem and "Hidden" not in problem and "Hidden" not in section.place
     assert runner.cursor.sent_rows == 0
+
+
+class Losing:
+    """Files of which the first ones are cut in half as they are written."""
+
+    def __init__(self, losses: list[bool]) -> None:
+        self._real, self._losses = fs.LocalFileSystem(), losses
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._real, name)
+
+    @contextlib.contextmanager
+    def open_output_stream(self, path: str) -> Iterator[Any]:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        with self._real.open_output_stream(path) as stream:
+            yield stream
+        if self._losses and self._losses.pop(0):
+            os.truncate(path, Path(path).stat().st_size // 2)
+
+
+def test_a_file_of_which_an_object_store_lost_a_part_is_written_again(tmp_path: Path) -> None:
+    store, folder, stop, problems = tmp_path / "h.sqlite", tmp_path / "files", threading.Event(), []
+    fill(store, MIDNIGHT_S, 0.5)
+    losses = [True, False, True, True]
+
+    class AtBucket(ParquetSink):
+        def _reach(self, address: str) -> _ObjectStore:
+            found = _ObjectStore(f"file://{address}")
+            found._files = Losing(losses)
+            return found
+
+    def sink(section: SinkConfig, machine: str) -> ParquetSink:
+        return AtBucket(section, machine, now_utc_s=lambda: MIDNIGHT_S + 2 * DAY_S)
+
+    def wait(_duration_s: float) -> None:
+        problems.append(runner.cursor.problem)
+        if not problems[-1] or len(problems) > 4:
+            stop.set()
+
+    runner = SinkRunner(config(folder), store, MACHINE, stop, sink, wait=wait)
+    runner.run()
+    assert problems[-1] == "", "it was left for a person to move away"
+    assert all("stand there afterwards" in each for each in problems[:-1]) and len(problems) == 2 and not losses
+    assert len(files(folder)) == 7
 
 
 def test_the_examples_of_the_page_run_on_the_files(tmp_path: Path) -> None:
