@@ -261,7 +261,7 @@ class HaasCnc(LinkedCnc):
                 break
         raise FatalDriverError(
             f"the CNC refused macro variable #{number} = {value!r}: it holds {found!r} afterwards; see that the "
-            "variable exists and is not the probing system's (#550-#580), and that no setting protects macro variables"
+            "variable exists and is not the probing system's (#150-#199, #550-#599), and that no setting protects it"
         )
 
     def _lose(self, reason: str, cause: BaseException | None = None) -> NoReturn:
