@@ -87,6 +87,6 @@ def _map_keys(recording: Recording, slopes: Mapping[str, Mapping[str, object]]) 
     if slopes:
         positions["slopes"] = slopes
     names = {"temperatures": list(recording.temperature_names[: recording.sensors])}
-    if in_mm := [name for name in recording.displacement_names if unit_in(name) == "mm"]:
-        positions["displacement_units"] = dict.fromkeys(in_mm, "um")  # the history holds micrometres
+    if coarse := [name for name in recording.displacement_names if unit_in(name) in ("mm", "in")]:
+        positions["displacement_units"] = dict.fromkeys(coarse, "um")  # the history holds micrometres
     return {"time": TIME, **speed, **names, "displacements": list(recording.displacement_names), **positions}

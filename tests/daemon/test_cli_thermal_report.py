@@ -79,7 +79,12 @@ def test_an_empty_field_where_the_spindle_starts_costs_neither_the_advice_nor_th
         fields = lines[line].split(",")
         lines[line] = ",".join([*fields[:2], "", *fields[3:]])
     (path := tmp_path / "day.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    turn = report(path, "--html", page := tmp_path / "day.html")["channels"]["Z1"]["distortion_by_rotating_spindle"][0]
+    found = report(path, "--html", page := tmp_path / "day.html")
+    turn = found["channels"]["Z1"]["distortion_by_rotating_spindle"][0]
+    (warning,) = found["warnings"]
+    assert "2 values are missing" in warning and warning in page.read_text("utf-8"), (
+        "the page warns as the terminal does"
+    )
     assert turn["warm_up"]["why_not"] is None, "it said that 0 rows of rotation were measured"
     drawn = page.read_text("utf-8").split('"name":"Z1, measured"', 1)[1].split('"y":[', 1)[1].split("]", 1)[0]
     assert drawn.startswith("null,0.0,") and drawn.count("null") == 2

@@ -18,6 +18,7 @@ from pyarrow import parquet
 from rewired import EXCHANGED, rewired
 
 from config.loader import load_configuration
+from config.recordings.recording_map import RecordingMap, resolve_columns
 from config.schema import Configuration
 from config.schema.cnc_drivers import OpcUaNodesConfig
 from config.schema.compensation import RetrainingConfig
@@ -34,12 +35,13 @@ from daemon.housekeeping.jobs import RetrainingJob
 from daemon.model_release.exporting import Export, RecordingTable
 from daemon.model_release.gate import reads_in_short
 from daemon.model_release.past_recordings import commissioned_um_per_unit, recordings_from_history
+from daemon.model_release.recording_files import _map_keys
 from daemon.model_release.retraining import propose_from_history
 from daemon.monitor.web.downloads import EXPORTER
 from daemon.state_store.store import StateStore
 from drivers.clock import SystemClock
 from drivers.files.recording_csv import read_recording
-from models.recordings.dataset import DatasetError
+from models.recordings.dataset import DatasetError, Recording
 from models.thermal.family import model_from_json
 from models.thermal.features import lag_table
 from models.thermal.model import READS
@@ -261,6 +263,21 @@ def test_an_exported_recording_is_what_train_reads(
     np.testing.assert_allclose(read.speed_rpm, held.speed_rpm, atol=0.1)
     command = ["thermal", "train", str(run), "--model", "ridge", "-o", str(tmp_path / "model.json")]
     assert CliRunner().invoke(main, command).exit_code == 0
+
+
+@pytest.mark.parametrize("channel", ["dz (mm)", "dz (in)"])
+def test_a_channel_that_is_called_after_another_unit_is_exported_in_micrometres(channel: str) -> None:
+    held = Recording(
+        name="run",
+        time_s=np.zeros(1),
+        speed_rpm=None,
+        temperature_names=("T1",),
+        temperatures_degc=np.zeros((1, 1)),
+        displacement_names=(channel,),
+        displacements_um=np.zeros((1, 1)),
+    )
+    keys = RecordingMap.model_validate(_map_keys(held, {}))
+    assert resolve_columns(keys, [keys.time, "T1", channel]).displacement_units == ["um"], "train refused its own file"
 
 
 @pytest.mark.parametrize(

@@ -78,12 +78,11 @@ def report(
             chiller_kw=chiller_kw,
             process=_process(cut_kwh, motor_kwh, process_min),
         )
-        found = thermal_report(recording, model, choices)
+        found = thermal_report(recording, model, choices) | {"warnings": warnings}
         if html_path is not None:
             write_report_page(html_path, found, recording, model, read_origin(recording_path, recording_map))
     except OSError as error:
         refuse(f"{html_path}: the page cannot be written ({error.strerror})")
-    found["warnings"] = warnings
     _show(found)
     write_json(json_path, found)
 

@@ -50,6 +50,7 @@ def write_report_page(
         f"Thermal distortion: {recording.name}",
         [
             Section(rows=_origin(origin, model), kind="facts"),
+            *([Section(title="Warnings", items=tuple(report["warnings"]))] if report["warnings"] else []),
             Section(text=introduction),
             _worst_table("Largest distortion by axis [um]", axes),
             _worst_table("Largest distortion by channel [um]", report["channels"]),
@@ -172,7 +173,8 @@ def _environment(environment: dict[str, Any]) -> str:
     minutes = sum(stretch["minutes"] for stretch in environment["stretches"])
     ranges = [s["temperature_range_k"] for s in environment["stretches"] if s["temperature_range_k"] is not None]
     air = f"; the air ({', '.join(environment['ambient'])}) varied by at most {max(ranges):.2f} K" if ranges else ""
-    return f"{len(environment['stretches'])} stretches of settled standstill, {minutes:.0f} min in all{air}."
+    count = len(environment["stretches"])
+    return f"{count} {'stretch' if count == 1 else 'stretches'} of settled standstill, {minutes:.0f} min in all{air}."
 
 
 def _energy_table(energy: dict[str, Any]) -> Section:
