@@ -56,6 +56,10 @@ OF_THE_WIRES = (
 """What keeps the output from following though the simulated wires are whole: a computer too busy for the speed."""
 ON_THE_WAY = 2
 """So many cycles may have been played and not have arrived yet."""
+PAUSE_S = 45.0
+"""No estimate for longer than this, and than three cycles, is a pause in which the output stands still [s]; ..."""
+PAUSED_SHARE = 0.05
+"""... of pauses for more than this share of the time played it is told."""
 OF_THE_PAST = "stand for the last"
 """In what the daemon says of a model whose lags stand for hours that it does not know."""
 OF_A_SENSOR = "has changed since the reference"
@@ -223,6 +227,22 @@ class Following:
         if "sensor " in self.why:
             return "look at that sensor in the recording, and leave its fields empty where it is wrong"
         return ""
+
+
+def pauses(estimated_s: Sequence[float], cycle_s: float, speed: float) -> str:
+    """Return what is said where estimates came late, because the computer is too busy for the speed; else ''.
+
+    `estimated_s`: when there was an estimate [s]; `cycle_s`: time between two cycles of temperatures [s].
+    """
+    apart_s = np.diff(np.unique(np.asarray(estimated_s, dtype=np.float64)))
+    late_s = apart_s[apart_s > max(PAUSE_S, 3.0 * cycle_s)]
+    if not len(late_s) or (share := float(late_s.sum() / apart_s.sum())) <= PAUSED_SHARE:
+        return ""
+    return (
+        f"this computer was too busy for --speed {speed:g}: for {share:.0%} of the time played no estimate came for "
+        f"{PAUSE_S:g} s or longer, at most {late_s.max():.0f} s, in which the output stood still, and the figures with "
+        f"compensation are worse than a machine's; play it again at --speed {max(speed / 4.0, 1.0):g}"
+    )
 
 
 def not_enabled(refusal: str, arrived: int, played: float) -> str:

@@ -12,7 +12,7 @@ from thermal_runs import run
 
 from daemon.cli import main
 from daemon.history.series import EventRecord
-from daemon.simulation.replaying import LEAST_SHARE, following
+from daemon.simulation.replaying import LEAST_SHARE, following, pauses
 
 
 def event(time_s: float, text: str, kind: str = "state") -> EventRecord:
@@ -56,6 +56,14 @@ def test_a_replay_that_was_not_followed_says_what_to_do(reason: str, advice: str
     assert advice in found.advice(600.0)
     followed = following([event(50.0, "ARMED -> ACTIVE: following the estimate")], 100.0, 200.0)
     assert followed.advice(600.0) == ""
+
+
+def test_a_computer_that_was_too_busy_is_told_though_the_output_was_active() -> None:
+    times_s = [15.0 * cycle for cycle in range(400)]
+    assert pauses(times_s, 15.0, 600.0) == "" == pauses([], 15.0, 600.0)
+    assert pauses(times_s[:100] + times_s[105:], 15.0, 600.0) == "", "once a minute and a half"
+    said = pauses(times_s[:100] + times_s[160:], 15.0, 600.0)  # 1.5 um instead of 0.2 on such a computer
+    assert "for 15% of the time played" in said and "at most 915 s" in said and "--speed 150" in said
 
 
 def played(tmp_path: Path, recording: Path, model: Path, *options: str) -> "subprocess.CompletedProcess[str]":

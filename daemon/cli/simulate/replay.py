@@ -26,6 +26,7 @@ from daemon.simulation.replaying import (
     map_of,
     modelled,
     not_enabled,
+    pauses,
     played_otherwise,
     played_positions,
     played_utc_s,
@@ -94,7 +95,8 @@ def replay(
     with simulation_folder(directory) as folder:
         try:
             machine = replay_machine(part, model_path, folder / "commissioning.json")
-            if note := allowed_change_k(part, machine["temperatures"]["lines"][0]["cycle_period_s"])[1]:
+            cycle_s = machine["temperatures"]["lines"][0]["cycle_period_s"]
+            if note := allowed_change_k(part, cycle_s)[1]:
                 said.append(note)
             path, _ = write_simulation_configuration(machine, folder, speed=speed)
         except ValueError as error:
@@ -102,19 +104,19 @@ def replay(
         until_s = playing_time_s(part)
         arguments = ["--recording", str(recording.resolve()), "--hours", f"{hours[0]!r}-{hours[1]!r}"]
         arguments += ["--until-s", repr(until_s), "--report-s", "60"]
-        if map_path is not None:
-            arguments += ["--map", str(map_path.resolve())]
+        arguments += [] if map_path is None else ["--map", str(map_path.resolve())]
         began_s = time.time()
         with start_simulation(arguments, path, speed=speed, epoch_utc_s=began_s, directory=folder) as running:
-            _enable(running, machine["temperatures"]["lines"][0]["cycle_period_s"])
+            _enable(running, cycle_s)
             _follow(running, until_s)
             final, status = settle(running)
         with HistoryReader(running.configuration.history.path) as reader:
             span_s = played_utc_s(part, began_s)
             followed = following(reader.events(0.0, span_s[1]), *span_s, names=sensor_names(part, model_path))
+            late = pauses(reader.estimates(*span_s).time_s.tolist(), cycle_s, speed)
     channels = axis_names(part.displacement_names)
     final["channels"] = {channels[axis]: figures for axis, figures in final["channels"].items()}
-    found = _found(final, status, followed, said, speed)
+    found = _found(final, status, followed, [*said, late] if late else said, speed)
     if part.axis_positions:
         found["positions"] = played_positions(part)
     report(recording, found, json_path)
