@@ -29,7 +29,7 @@ function parse(markdown) {
 
 const literal = (text) => text.replace(/…/g, "").trim().length;
 const pattern = (text) => new RegExp(text.split("…").map((piece) => piece.replace(/[.*+?^${}()|[\]\\]/g, "\\$&")).join("(.+)"));
-const says_nothing = ({ cause, remedy }) => /^(part of|name of|condition of)/.test(cause) || /^(as it says|read the reason|see there)/.test(remedy);
+const says_nothing = ({ cause, remedy }) => /^((part|name|frame|condition)( of|:)|\()/.test(cause) || /^(as it says|read the reason|see there)/.test(remedy);
 
 // Remedies of a sentence, of the whole first and then of what it quotes; [] while the table is not there, or none fits.
 export function remedies(sentence) {

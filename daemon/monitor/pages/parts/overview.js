@@ -225,7 +225,7 @@ function speed({ spindle_speed: found }) {
     h("p", { class: "big" }, unit(found.actual_rpm, "1/min", 0)),
     h("dl", { class: "facts" },
       h("dt", {}, "programmed"), h("dd", {}, unit(found.programmed_rpm, "1/min", 0)),
-      h("dt", {}, "commanded"), h("dd", {}, found.written_rpm === null ? "none: the NC follows its program" : unit(found.written_rpm, "1/min", 0)),
+      h("dt", {}, "commanded"), h("dd", {}, found.written_rpm === null ? (found.actual_rpm === null ? "not known" : "none: the NC follows its program") : unit(found.written_rpm, "1/min", 0)),
       h("dt", {}, "why"), h("dd", {}, `${found.state}: ${found.why}`)));
 }
 

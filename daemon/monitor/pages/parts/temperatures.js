@@ -33,6 +33,7 @@ class Temperatures {
     this.drawing = new MachineDrawing(this.sensors, (name) => this.toggle(name));
     this.list = h("div", {});
     this.faults = h("div", {});
+    this.age = h("p", {});
     this.chart = new Chart({ title: "Chosen temperatures", caption: "Drag across the chart to look closer.", unit: "temperature [°C]", unit_short: "°C", digits: 2, height: 19, least: 0.1, series: [],
       zoom: (from, to) => { this.window = [from, to]; this.load(); } });
     const whole = h("button", { type: "button", class: "quiet", onclick: () => { this.window = null; this.load(); } }, "Back to now");
@@ -44,7 +45,7 @@ class Temperatures {
         this.chart.element),
       h("section", { class: "card half" }, h("h2", {}, "The machine, coloured by temperature"), this.drawing.drawing,
         h("p", { class: "dim note" }, "A sketch from the names of the components in the machine's file; a click on a sensor adds it to the chart.")),
-      h("section", { class: "card half" }, this.faults,
+      h("section", { class: "card half" }, this.age, this.faults,
         h("div", { class: "between" }, h("h2", {}, `Sensors (${this.sensors.length})`),
           h("span", { class: "actions" }, choice("by", [["component", "component"], ["part", "part"], ["label", "label"], ["degc", "temperature"]], this.by, (by) => { this.by = by; this.rows(); }),
             h("label", { class: "choice" }, h("span", {}, "find"), search))),
@@ -63,6 +64,11 @@ class Temperatures {
     this.live.want(false);
     clearInterval(this.timer);
     this.chart.remove();
+  }
+
+  status({ age_s: age }) {
+    this.age.className = age === null || age > 60 ? "said" : "dim";
+    put(this.age, age === null ? "No temperature has arrived yet." : `The newest temperature is ${duration(age)} old.`);
   }
 
   cycle({ degc: values, quality, reason }) {
