@@ -34,7 +34,7 @@ class CncLock:
         listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
         try:
             listening.bind(self._name)
-            listening.listen(1)
+            listening.listen(socket.SOMAXCONN)  # nobody accepts: each who has asked stays in the queue
         except OSError as error:
             listening.close()
             raise CncLockError(
