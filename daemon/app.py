@@ -15,7 +15,7 @@ from config.schema import Configuration
 from daemon.cnc.audited_write import AuditedWriter
 from daemon.cnc.events import Journal
 from daemon.cnc.interlocks import Interlocks
-from daemon.cnc.limits import CommissionedFactors, also_polled, echo_slack_um, output_limits
+from daemon.cnc.limits import CommissionedFactors, also_polled, output_limits
 from daemon.cnc.macro_block import MacroBlock
 from daemon.cnc.session import CncLink, CncSession
 from daemon.cnc.write_ahead import WriteAheadRecord
@@ -160,13 +160,12 @@ class Daemon:
         model, inhibit = self._loaded.model, self._loaded.inhibit
         record, refused = load_record(configuration)
         axes = tuple(configuration.compensation.axes)
-        factors, slack_um = CommissionedFactors(record, axes), echo_slack_um(configuration)
+        factors = CommissionedFactors(record, axes)
         self._block = MacroBlock(
             configuration.cnc.macros,
             axes,
             factors,
-            slack_um,
-            configuration.cnc.guard,
+            guard=configuration.cnc.guard,
             also_polled=also_polled(configuration),
             pivots_mm=configuration.compensation.pivots_mm,
         )

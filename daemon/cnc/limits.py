@@ -61,6 +61,7 @@ def output_limits(configuration: Configuration, factors: Mapping[str, float] | N
         absolute_bound_um=np.minimum(bound_um, np.floor(bound_um / increment_um + 1e-6) * increment_um),
         slew_um_per_min=certain * [axis.slew_um_per_min for axis in axes.values()],
         step_um=share * [axis.step_um for axis in axes.values()],
+        rounding_um=np.maximum(ECHO_SLACK_UM, ROUNDING * increment_um),
         deadband_um=np.array([axis.deadband_um for axis in axes.values()]),
         stale_after_s=max(output.stale_after_s, HELD_PERIODS * configuration.temperatures.shortest_period_s),
         hold_limit_s=output.hold_limit_s,
@@ -82,11 +83,6 @@ def _tool_term(term: ToolTermConfig | None) -> ToolTerm | None:
         return None
     kept = term.model_dump(include={"length_mm", "expansion_um_per_m_k", "direction"})
     return ToolTerm(label_weights=term.temperatures, **kept)
-
-
-def echo_slack_um(configuration: Configuration) -> float:
-    """Return what may lie between a written value and its echo [um]: the control rounds to its least increment."""
-    return max(ECHO_SLACK_UM, um_from_mm(ROUNDING * configuration.cnc.guard.increment_mm))
 
 
 def guard_programs(configuration: Configuration) -> frozenset[int]:

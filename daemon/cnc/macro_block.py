@@ -78,15 +78,12 @@ class MacroBlock:
         macros: MacroMapConfig,
         axes: Sequence[str],
         factors: Mapping[str, float],
-        slack_um: float = ECHO_SLACK_UM,
         guard: GuardConfig | None = None,
         also_polled: Iterable[int] = (),
         pivots_mm: Mapping[str, float] | None = None,
     ) -> None:
         """`guard` says what an expired block does; without it an expired block keeps what is applied."""
         self._pivots_mm = pivots_mm
-        self.slack_um = slack_um
-        """Allowed between the echo and what explains it [um]; the control rounds to its least increment."""
         self._map = macros
         self._guard = guard
         self._axes = tuple(axes)
@@ -173,7 +170,7 @@ class MacroBlock:
         if any(value is None or not math.isfinite(value) for n, value in values.items() if n != self._map.valid_until):
             return False
         bits = found.get(self._map.enable) or 0.0
-        within = np.abs(self.values_um(found)) <= limits.absolute_bound_um + self.slack_um
+        within = np.abs(self.values_um(found)) <= limits.absolute_bound_um + limits.rounding_um
         return (
             begun_after(known, found, self._map.sequence_a, self._map.sequence_b)
             and bits in range(1 << len(self._axes))
@@ -208,17 +205,18 @@ class MacroBlock:
         written is plausible as well.
         """
         columns = (self.echo(macros).applied_um, self.values_um(macros), limits.absolute_bound_um, limits.step_um)
+        columns = (*columns, limits.rounding_um)
         rows = zip(self._axes, *(each.tolist() for each in columns), strict=True)
         problems = []
-        for axis, applied_um, held_um, bound_um, step_um in rows:
+        for axis, applied_um, held_um, bound_um, step_um, slack_um in rows:
             written_um = 0.0 if math.isnan(held_um) else held_um
-            if abs(applied_um) > bound_um + self.slack_um:
+            if abs(applied_um) > bound_um + slack_um:
                 problems.append(
                     f"axis {axis}: the CNC says that it applies {applied_um:.3f} um, the bound is {bound_um:g} um"
                 )
-            elif after_expiry and _between_zero_and(written_um, applied_um, self.slack_um):
+            elif after_expiry and _between_zero_and(written_um, applied_um, slack_um):
                 continue
-            elif abs(applied_um - written_um) > step_um + self.slack_um:
+            elif abs(applied_um - written_um) > step_um + slack_um:
                 problems.append(
                     f"axis {axis}: the CNC says that it applies {applied_um:.3f} um, the block holds "
                     f"{written_um:.3f} um, and the guard's step is {step_um:g} um"

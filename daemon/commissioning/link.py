@@ -4,7 +4,6 @@ from collections.abc import Callable
 
 from config.schema import Configuration
 from daemon.cnc.audited_write import AuditedWriter, AuditError, ForeignValueError, MacroWrite
-from daemon.cnc.limits import echo_slack_um
 from daemon.cnc.macro_block import MacroBlock
 from daemon.cnc.write_ahead import WriteAheadRecord
 from daemon.commissioning.initialising import (
@@ -45,8 +44,7 @@ class CommissioningLink:
             self._macros,
             axes,
             {},
-            echo_slack_um(configuration),
-            configuration.cnc.guard,
+            guard=configuration.cnc.guard,
             pivots_mm=configuration.compensation.pivots_mm,
         )
         self._cnc: Cnc | None = None

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daemon.cnc.events import Journal
-from daemon.cnc.macro_block import ECHO_SLACK_UM, Echo
+from daemon.cnc.macro_block import Echo
 from daemon.cnc.session import CncSession
 from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
@@ -51,7 +51,7 @@ class EchoWatch:
     def __init__(
         self,
         telemetry: Telemetry,
-        slack_um: float = ECHO_SLACK_UM,
+        slack_um: FloatArray,
         record: Callable[[int, Trace], object] = lambda _write_id, _trace: None,
     ) -> None:
         """`record` takes the number of a write in the audit, and the trace of the cycle behind it."""
@@ -95,8 +95,8 @@ class EchoWatch:
         awaited = self._awaited
         if awaited is None or echo is None or echo.status != APPLIED_STATUS or echo.time_s == awaited.guard_time_s:
             return
-        distance_um = np.abs(echo.applied_um - awaited.value_um)[np.array(awaited.enabled, dtype=bool)]
-        if np.all(distance_um <= self._slack_um):
+        there = np.abs(echo.applied_um - awaited.value_um) <= self._slack_um
+        if there[np.array(awaited.enabled, dtype=bool)].all():
             self._awaited = None
             trace = replace(awaited.trace, echoed=time)
             self._telemetry.echoed(awaited.line, trace)

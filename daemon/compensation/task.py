@@ -13,7 +13,7 @@ from itertools import compress
 import numpy as np
 import structlog
 
-from daemon.cnc.limits import axis_sources, echo_slack_um
+from daemon.cnc.limits import axis_sources
 from daemon.cnc.session import CncSession
 from daemon.compensation.alarms import GuardWatch, alarm_of
 from daemon.compensation.block_writer import BlockWriter, EchoWatch
@@ -64,7 +64,7 @@ class ControlTask:
         self._measured = MeasuredByNc(self.limits, history, self.journal, self.skill, self._references, self._now)
         self._desk = RequestDesk(handshake, self._references, self.journal, self._measured)
         self.guard_watch = GuardWatch(configuration.compensation.output)
-        self._echo_watch = EchoWatch(parts.telemetry, echo_slack_um(configuration), history.write_echoed)
+        self._echo_watch = EchoWatch(parts.telemetry, self.limits.rounding_um, history.write_echoed)
         self.writer = BlockWriter(self._clock, parts.telemetry, self.journal, self._echo_watch, parts.validity_s)
         self._startup = StartupRecovery(
             parts.resume, self._references, self.journal, self.limits.axes, parts.model_id, parts.max_outage_s

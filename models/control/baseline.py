@@ -26,12 +26,12 @@ from models.records import FloatArray, OutputState
 SETTLING_STATES = (OutputState.ARMED, OutputState.ACTIVE, OutputState.HOLD)
 """States in which the output is meant to stay where the reference found it."""
 ROUNDED_UM = 1.0
-"""A control rounds what it applies to its least increment [um]."""
+"""A guard that is so near counts as on the way, however finely its control rounds [um]."""
 SETTLED_UM = 3e-3
 """The CNC holds a value that was read back so near [um]: it counts to a nanometre, which may move an axis by five."""
 
 
-def follow_reference(memory: OutputMemory, inputs: OutputInputs, stale_after_s: float) -> OutputMemory:
+def follow_reference(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> OutputMemory:
     """Make what is applied the baseline of a new reference; keep the output where it is.
 
     While the CNC does not yet hold the new command, the guard may still apply the old one: what
@@ -39,14 +39,14 @@ def follow_reference(memory: OutputMemory, inputs: OutputInputs, stale_after_s: 
 
     The memory has the reference of the inputs, or the old one while the echo is unknown.
 
-    `memory`: from the previous step. `stale_after_s`: an older estimate does not tell how far the machine has gone
-    until a new reference [s].
+    `memory`: from the previous step. `limits`: how far a control rounds, and from when on an estimate does not tell
+    how far the machine has gone until a new reference.
     """
     if inputs.reference_id != memory.reference_id:
-        return _new_reference(memory, inputs, stale_after_s)
+        return _new_reference(memory, inputs, limits.stale_after_s)
     if memory.reference_id is None:
         return _without_reference(memory, inputs)
-    return _follow_model(_settle(memory, inputs) if memory.settling else memory, inputs)
+    return _follow_model(_settle(memory, inputs, limits.rounding_um) if memory.settling else memory, inputs)
 
 
 def follow_tool(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
@@ -223,13 +223,13 @@ def _counted_from(
     )
 
 
-def _settle(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
+def _settle(memory: OutputMemory, inputs: OutputInputs, rounding_um: FloatArray) -> OutputMemory:
     if memory.state not in SETTLING_STATES or memory.to_zero or inputs.zero_first:
         return replace(memory, settling=False)
     applied = inputs.applied_um
     if not (inputs.link and np.isfinite(applied).all()):
         return memory
-    moved = (np.abs(applied - memory.command_um) > SETTLED_UM) & _on_the_way(memory, applied)
+    moved = (np.abs(applied - memory.command_um) > SETTLED_UM) & _on_the_way(memory, applied, rounding_um)
     if memory.settling_axes:
         moved &= np.array(memory.settling_axes, dtype=bool)
     if moved.any():
@@ -238,14 +238,14 @@ def _settle(memory: OutputMemory, inputs: OutputInputs) -> OutputMemory:
     return replace(memory, settling=not held)
 
 
-def _on_the_way(memory: OutputMemory, applied_um: FloatArray) -> npt.NDArray[np.bool_]:
+def _on_the_way(memory: OutputMemory, applied_um: FloatArray, rounding_um: FloatArray) -> npt.NDArray[np.bool_]:
     """Return on which axes the guard has gone from the baseline towards what the block held at the reference."""
     if memory.pending_um is None:
         return np.ones(len(applied_um), dtype=np.bool_)
     pending = np.where(np.isfinite(memory.pending_um), memory.pending_um, memory.command_um)
     lowest, highest = np.minimum(memory.command_um, pending), np.maximum(memory.command_um, pending)
-    on_the_way: npt.NDArray[np.bool_] = (applied_um >= lowest - ROUNDED_UM) & (applied_um <= highest + ROUNDED_UM)
-    return on_the_way
+    near_um = np.maximum(rounding_um, ROUNDED_UM)
+    return np.asarray((applied_um >= lowest - near_um) & (applied_um <= highest + near_um))
 
 
 def _rest_at(memory: OutputMemory, inputs: OutputInputs, moved: npt.NDArray[np.bool_]) -> OutputMemory:

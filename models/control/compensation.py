@@ -119,7 +119,7 @@ def step(memory: OutputMemory, inputs: OutputInputs, limits: OutputLimits) -> tu
     order of `limits.axes`. `limits`: bounds; `n_axes` rows.
     """
     memory = _heed_requests(memory, inputs, limits)
-    memory = follow_error(follow_reference(memory, inputs, limits.stale_after_s), inputs, limits)
+    memory = follow_error(follow_reference(memory, inputs, limits), inputs, limits)
     memory = follow_tool(memory, inputs)
     memory = follow_confidence(take_probe(memory, inputs, limits), inputs, limits)
     memory = _where_withdrawn(_change_state(memory, inputs, limits), inputs)

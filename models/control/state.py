@@ -55,6 +55,8 @@ class OutputLimits:
     slew_um_per_min: FloatArray
     step_um: FloatArray
     """Largest distance between what is written and what the guard has applied [um]."""
+    rounding_um: FloatArray
+    """What may lie between the two because the control rounds to its least increment [um]."""
     deadband_um: FloatArray
     stale_after_s: float
     hold_limit_s: float

@@ -21,6 +21,7 @@ LIMITS = OutputLimits(
     absolute_bound_um=np.array([50.0]),
     slew_um_per_min=np.array([1000.0]),
     step_um=np.array([50.0]),
+    rounding_um=np.array([0.05]),
     deadband_um=np.array([0.1]),
     stale_after_s=60.0,
     hold_limit_s=600.0,

@@ -32,7 +32,7 @@ def echo(z_um, ran_s, *, status=0, y_um=5.0):
 class Watched:
     def __init__(self):
         self.telemetry = Telemetry()
-        self.watch = EchoWatch(self.telemetry)
+        self.watch = EchoWatch(self.telemetry, np.array([0.05, 0.05]))
 
     def wrote(self, z_um, *, at_s, echo_now, line="spindle", on=True):
         trace = Trace(first_byte=at(at_s - 1.0), last_byte=at(at_s))
@@ -78,7 +78,7 @@ def test_a_value_that_already_stood_there_needs_a_run_of_the_guard_too():
 
 def test_the_audit_gets_the_trace_of_the_estimate_whose_value_was_taken_over():
     w, recorded = Watched(), []
-    w.watch = EchoWatch(w.telemetry, record=lambda write_id, trace: recorded.append((write_id, trace.echoed)))
+    w.watch = EchoWatch(w.telemetry, np.array([0.05, 0.05]), record=lambda write_id, trace: recorded.append((write_id, trace.echoed)))
     trace = Trace(first_byte=at(99.0), last_byte=at(100.0))
     w.watch.wrote(trace, command(2.0), echo(0.0, 50.0), "spindle", 7)
     w.watch.wrote(trace, command(4.0), echo(0.0, 50.0), None, 8)

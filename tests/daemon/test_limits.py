@@ -9,6 +9,7 @@ from config.records.commissioning import CommissionedAxis
 from config.schema.cnc import RequestMacrosConfig
 from config.schema.spindle_speed import SpindleSpeedConfig
 from daemon.cnc.limits import CommissionedFactors, guard_programs, output_limits
+from daemon.cnc.macro_block import MacroBlock
 from drivers.guard.programs import guard_program
 
 
@@ -18,6 +19,21 @@ def test_where_less_moves_than_is_written_bound_and_step_shrink_with_it(tmp_path
     scaled = output_limits(configuration, {"y": -0.5, "z": 2.0})
     assert scaled.absolute_bound_um == pytest.approx(plain.absolute_bound_um * [1.0, 0.5, 1.0])
     assert scaled.step_um == pytest.approx(plain.step_um * [1.0, 0.5, 1.0])
+
+
+def test_what_an_axis_may_stand_beside_its_value_goes_with_how_far_it_moves(tmp_path):
+    """Rounded within half an increment of 1 um, an axis that moves five times as far was taken for untrusted."""
+    cnc = machine(tmp_path).cnc
+    coarse = cnc.model_copy(update={"guard": cnc.guard.model_copy(update={"increment_mm": 0.001})})
+    configuration, factors = machine(tmp_path).model_copy(update={"cnc": coarse}), {"y": -5.0, "z": 2.0}
+    limits, macros = output_limits(configuration, factors), coarse.macros
+    assert limits.rounding_um == pytest.approx([0.51, 2.55, 1.02])
+    block = MacroBlock(macros, limits.axes, factors)
+    values = dict.fromkeys((*macros.values.values(), *macros.echo_applied.values()), 0.0)
+    beside = values | {macros.echo_applied["y"]: (limits.step_um[1] + 2.5) / -5.0 / macros.unit_um}
+    assert block.implausible_echo(beside, limits) == []
+    beside[macros.echo_applied["y"]] *= 1.5
+    assert len(block.implausible_echo(beside, limits)) == 1
 
 
 @pytest.mark.parametrize(

@@ -36,6 +36,17 @@ def test_what_the_guard_applies_before_the_new_command_is_held_becomes_the_basel
     assert machine.memory.baseline_um == pytest.approx(after_guard)
 
 
+def test_what_the_guard_applies_stays_the_baseline_however_far_the_control_rounds():
+    """With a scale of 5 an increment of 1 um is 5 um of the axis: the tool went back by 2 um on the part."""
+    machine = Machine(limits=replace(LIMITS, rounding_um=np.array([0.05, 2.55]), step_um=np.array([5.0, 30.0])))
+    machine.following().set(thermal_error_um=np.array([-3.0, -23.0])).step(6, guard=False)
+    machine.set(reference_id="r2", estimate_reference_id="r2", thermal_error_um=np.zeros(2))
+    machine.step(guard=False)
+    machine.applied = np.array([3.0, 25.0])  # of the 23 um that the block held
+    machine.step(60)
+    assert machine.applied == pytest.approx([3.0, 25.0])
+
+
 def test_a_reference_that_settled_is_followed_again():
     machine = Machine().following()
     machine.set(reference_id="r2", estimate_reference_id="r2", thermal_error_um=np.zeros(2)).step(3)

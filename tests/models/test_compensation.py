@@ -19,6 +19,7 @@ LIMITS = OutputLimits(
     absolute_bound_um=np.array([30.0, 60.0]),
     slew_um_per_min=np.array([2.0, 4.0]),
     step_um=np.array([5.0, 8.0]),
+    rounding_um=np.array([0.05, 0.05]),
     deadband_um=np.array([0.1, 0.1]),
     stale_after_s=60.0,
     hold_limit_s=600.0,
