@@ -111,6 +111,9 @@ class SpeedOperationConfig(Section):
         description="cutting case (YAML): teeth, engagement, coefficients, feed direction; its x and y are not used",
         examples=["/etc/toolpoint/case.yaml"],
     )
+    one_feed_direction: bool = Field(
+        False, description="the feed goes along the case's feed_deg alone; else a speed must bear every direction"
+    )
     depth_mm: float | None = Field(
         None, gt=0, description="axial depth where the NC program does not say it [mm]", examples=[4.5]
     )

@@ -29,7 +29,7 @@ from models.thermomechanics.regression import ThermomechanicalModel
 from models.thermomechanics.tool_point import ToolPointTracker
 
 DIRECTIONS_DEG = tuple(22.5 * number for number in range(8))
-"""Feed directions in which a speed is verified where the case names none."""
+"""Feed directions in which a speed is verified where the feed may go every way."""
 SPEEDS = 401
 """Speeds among which one is chosen."""
 MANY_STEPS = 16
@@ -61,6 +61,8 @@ class OperationPlanning:
         """Read spindles and case; raises ConfigurationError, and StabilityError where model and machine do not fit."""
         self._tuning, self._operation = tuning, operation
         self._case = load_stability_case(operation.case)
+        if not operation.one_feed_direction:  # a case is written for one cut of the program
+            self._case = self._case.model_copy(update={"feed_deg": ALL_DIRECTIONS})
         beyond = self._case.cut().beyond_straight
         if beyond and not tuning.verify_with_sdm:
             raise StabilityError(

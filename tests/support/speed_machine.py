@@ -83,7 +83,7 @@ def bearing_model(*, stiffening_per_k: float = 0.02, flagged: str = "") -> Therm
     )
 
 
-def speed_machine(folder: Path, **changes: Any) -> Configuration:
+def speed_machine(folder: Path, *, one_feed_direction: bool = True, **changes: Any) -> Configuration:
     """The rig's machine; T1 is tuned. `changes` go to the section."""
     case = folder / "case.yaml"
     case.write_text(CASE, encoding="utf-8")
@@ -96,6 +96,7 @@ def speed_machine(folder: Path, **changes: Any) -> Configuration:
                 spindles={"x": Path("simulated_machine"), "y": Path("simulated_machine")},
                 case=case,
                 depth_mm=0.4,
+                one_feed_direction=one_feed_direction,
             )
         ],
         "lowest_rpm": 2000.0,
