@@ -78,7 +78,9 @@ def test_a_value_that_already_stood_there_needs_a_run_of_the_guard_too():
 
 def test_the_audit_gets_the_trace_of_the_estimate_whose_value_was_taken_over():
     w, recorded = Watched(), []
-    w.watch = EchoWatch(w.telemetry, np.array([0.05, 0.05]), record=lambda write_id, trace: recorded.append((write_id, trace.echoed)))
+    w.watch = EchoWatch(
+        w.telemetry, np.array([0.05, 0.05]), record=lambda write_id, trace: recorded.append((write_id, trace.echoed))
+    )
     trace = Trace(first_byte=at(99.0), last_byte=at(100.0))
     w.watch.wrote(trace, command(2.0), echo(0.0, 50.0), "spindle", 7)
     w.watch.wrote(trace, command(4.0), echo(0.0, 50.0), None, 8)

@@ -74,7 +74,9 @@ class TrueSpindle:
 class History:
     """One random day of passes while the spindle warms and cools by at most 1.5 K a minute."""
 
-    def __init__(self, folder: Path, seed: int, events: list[str] = EVENTS, *, everywhere: bool = False, told: bool = True) -> None:
+    def __init__(
+        self, folder: Path, seed: int, events: list[str] = EVENTS, *, everywhere: bool = False, told: bool = True
+    ) -> None:
         """`everywhere`: the feed goes another way in each pass, and the spindle is softer along Y.
 
         `told`: the configuration does not say that it goes one way alone.
