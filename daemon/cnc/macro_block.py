@@ -204,9 +204,11 @@ class MacroBlock:
         `after_expiry`: the guard may have taken an expired block's offset out, so anything between zero and what is
         written is plausible as well.
         """
-        columns = (self.echo(macros).applied_um, self.values_um(macros), limits.absolute_bound_um, limits.step_um)
-        columns = (*columns, limits.rounding_um)
-        rows = zip(self._axes, *(each.tolist() for each in columns), strict=True)
+        found, allowed = (
+            (self.echo(macros).applied_um, self.values_um(macros)),
+            (limits.absolute_bound_um, limits.step_um),
+        )
+        rows = zip(self._axes, *(each.tolist() for each in (*found, *allowed, limits.rounding_um)), strict=True)
         problems = []
         for axis, applied_um, held_um, bound_um, step_um, slack_um in rows:
             written_um = 0.0 if math.isnan(held_um) else held_um
