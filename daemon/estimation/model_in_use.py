@@ -73,6 +73,11 @@ class ModelInUse:
                 known_h.append(self._period_s / 3600.0)
             yield time_min, degc, speed_rpm
 
+    def drifted_before(self, jumps: Changes, reference_s: float) -> bool:
+        """Whether one of its sensors jumped before the reference, at which the model in use may have set its lags."""
+        since_s = reference_s - self.memory_s
+        return any(since_s < at_s <= reference_s and place in self.places for at_s, place, _ in jumps)
+
     @property
     def memory_s(self) -> float:
         """How far back it is filled from the history [s]."""
@@ -108,9 +113,10 @@ class ModelInUse:
         history, which takes its time: call it in a thread then.
         """
         then_s, jumped_k = reference.time.monotonic_s, np.zeros(len(self._inputs))
-        lags_right_s, self._lags_right_s = max(self._lags_right_s, now_s - self.memory_s), now_s
-        for at_s, place, jump_k in jumps:
-            jumped_k[self._inputs == place] += jump_k if at_s > lags_right_s else 0.0
+        if excluded is None:
+            lags_right_s, self._lags_right_s = max(self._lags_right_s, now_s - self.memory_s), now_s
+            for at_s, place, jump_k in jumps:
+                jumped_k[self._inputs == place] += jump_k if at_s > lags_right_s else 0.0
         lies_back = excluded is not None and self._online.history_min > 0.0
         admitted = self._online.set_reference(
             OnlineReference(

@@ -398,6 +398,8 @@ def _waits_for(
     trusted = trusted and positions.trust(to.model, now_s, ())[0] >= cleansing.least
     if not trusted:
         to.waits = "the estimate that it would go on from is not trusted"
+    elif to.drifted_before(cleansing.levels.jumps, reference.time.monotonic_s):
+        to.waits = "a sensor has jumped, perhaps back to the truth, before the work was positioned: position it again"
     elif renewed.held_s > 0.0:
         to.waits = f"a sensor that counts has been silent for {renewed.held_s:.0f} s"
     elif cleansing.jumped_k is not None or not same or renewed.fading_um > UNSURE_UM / 2:
