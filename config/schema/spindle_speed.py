@@ -111,9 +111,7 @@ class SpeedOperationConfig(Section):
         description="cutting case (YAML): teeth, engagement, coefficients, feed direction; its x and y are not used",
         examples=["/etc/toolpoint/case.yaml"],
     )
-    one_feed_direction: bool = Field(
-        False, description="the feed goes along the case's feed_deg alone; else a speed must bear every direction"
-    )
+    one_feed_direction: bool = Field(False, description="the feed goes as the case's feed_deg alone; else every way")
     depth_mm: float | None = Field(
         None, gt=0, description="axial depth where the NC program does not say it [mm]", examples=[4.5]
     )

@@ -69,16 +69,16 @@ class EchoWatch:
         write_id: int | None = None,
     ) -> None:
         """Note a verified write with the echo in its read-back; `line` is that of its estimate, None for a tick."""
-        awaited = self._awaited
+        before = self._awaited
         if not any(command.enable):
             self._drop()
             return
-        if awaited is not None and self._holds(awaited, command):
+        if before and before.enabled == command.enable and np.array_equal(before.value_um, command.compensation_um):
             return
         if line is not None:
             self._drop()
-        elif awaited is not None:
-            line, trace, write_id = awaited.line, awaited.trace, awaited.write_id
+        elif before is not None:
+            line, trace, write_id = before.line, before.trace, before.write_id
         else:
             return
         self._awaited = _Awaited(
@@ -107,10 +107,6 @@ class EchoWatch:
         if self._awaited is not None:
             self._telemetry.superseded()
         self._awaited = None
-
-    @staticmethod
-    def _holds(awaited: _Awaited, command: CompensationCommand) -> bool:
-        return awaited.enabled == command.enable and bool(np.array_equal(awaited.value_um, command.compensation_um))
 
 
 class BlockWriter:
