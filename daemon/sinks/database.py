@@ -231,6 +231,7 @@ class Database:
             keepalives_idle=max(1, round(config.timeout_s)),
             application_name=self._application,
             client_encoding="UTF8",  # else that of the database, which may be none (SQL_ASCII)
+            target_session_attrs="read-write",  # of several servers, or addresses of one name, that which takes writes
             autocommit=True,
             prepare_threshold=None,  # behind a pooler another connection may have statements of the same names
             **tls,

@@ -5,7 +5,10 @@ from psycopg import errors
 from config.schema.sinks import PostgresqlConfig
 from models.json_values import printable
 
+READS_ONLY = "the server takes no writes: check that `host` is the primary one, and default_transaction_read_only"
 HINTS = {
+    "hot standby": READS_ONLY,
+    "is read-only": READS_ONLY,
     "password authentication failed": "check `user_name` and `password_file`",
     "no password supplied": "the server asks for a password: give `password_file`",
     "pg_hba.conf": "let this computer in on the server (pg_hba.conf), and check `tls` and `user_name`",
@@ -34,9 +37,7 @@ HINTS = {
     "database system": "the server is starting, stopping or recovering; it is tried again",
     "not write": "its disk may be full: free space on the server",
     "space left": "its disk may be full: free space on the server",
-    "read-only transaction": (
-        "the server takes no writes: check that `host` is the primary one, and default_transaction_read_only"
-    ),
+    "read-only transaction": READS_ONLY,
     "role ": "the server does not know the role: check `user_name`",
     "database ": "the server has no such database: check `database`",
 }

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -493,6 +494,36 @@ def test_a_pooler_that_lends_a_connection_for_one_transaction_is_as_good(
         assert not problems
         with server.connection(port=port) as other:
             assert other.execute("SHOW search_path").fetchone() == ('"$user", public',)
+
+
+def standby(listening: socket.socket) -> None:
+    """Answer as a server does that follows another one: whoever connects may read."""
+
+    def told(kind: bytes, content: bytes) -> bytes:
+        return kind + (len(content) + 4).to_bytes(4) + content
+
+    settings = {"server_version": "15.4", "in_hot_standby": "on", "default_transaction_read_only": "off"}
+    with contextlib.suppress(OSError):
+        while True:
+            connection, _ = listening.accept()
+            with connection:
+                connection.recv(4096)
+                statuses = [told(b"S", f"{name}\0{value}\0".encode()) for name, value in settings.items()]
+                connection.sendall(told(b"R", bytes(4)) + b"".join(statuses) + told(b"Z", b"I"))
+                connection.recv(4096)
+
+
+def test_of_several_servers_the_one_that_takes_writes_is_found(server: Server, tmp_path: Path) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.1)
+    with socket.create_server(("127.0.0.2", server.port)) as listening:
+        thread = threading.Thread(target=standby, args=(listening,), daemon=True)
+        thread.start()
+        cursor = send(server, tmp_path, store, host="127.0.0.2,127.0.0.1")
+        assert cursor.problem == "" and cursor.sent_rows > 0
+        assert "check that `host` is the primary" in send(server, tmp_path, store, host="127.0.0.2").problem
+        listening.shutdown(socket.SHUT_RDWR)
+        thread.join()
 
 
 # --- refusals ------------------------------------------------------------------------------
