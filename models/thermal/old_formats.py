@@ -32,7 +32,7 @@ def old_model(content: Mapping[str, Any]) -> LinearModel:
     bare = unsigned(dict(content), "training")
     try:
         fields = _telescoped(bare) if version == 1 else _lagged(bare)
-    except (TypeError, KeyError, IndexError, AttributeError) as error:
+    except (TypeError, ValueError, KeyError, IndexError, AttributeError) as error:
         raise ModelError("", f"does not hold what format {version} holds ({error!r:.80})") from error
     return record_from(fields | {key: bare[key] for key in OPTIONAL if key in bare}, LinearModel)
 

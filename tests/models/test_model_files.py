@@ -181,4 +181,6 @@ def test_files_of_the_formats_before_are_checked_as_strictly(name: str) -> None:
         **({"drift_um_per_min": 5} if name == "increments_plain" else {"centre": 5}),
     )
     refused("does not hold what format", test_vectors=5)
+    if name == "increments_plain":  # the policy would release nothing any more beside such a proposal
+        refused("does not hold what format", coefficients_um_per_k=[[1.0], [1.0, 2.0]])
     refused("test_vectors: is empty", test_vectors=[])
