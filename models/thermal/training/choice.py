@@ -62,9 +62,9 @@ MIXED_BETTER = 1.0
 """By so many the mean of processes and ridges must be better than that of one kind: it is the best of more trials."""
 OWN_BETTER = 2.0
 """By so many members of a channel's own must be better than those of all channels: every channel is a trial more."""
-MOST_NUMBERS = 2_500_000
-"""All solutions together hold no more, so that a model is 10 MiB in the daemon: with 302 sensors eight of them; the
-channels that gain most then have members of their own."""
+MOST_NUMBERS = 2_000_000
+"""All solutions together hold no more, so that a model is 8 MiB in the daemon and an estimate takes 0.5 ms: with 302
+sensors four to six of them; the channels that gain most then have members of their own."""
 FEWEST_TO_PART = 5
 """Of so many runs or cycles left out at least: the error of a difference of four is itself known too badly."""
 WATCH_IS_WORTH = 0.02
