@@ -31,8 +31,9 @@ from models.thermal.drift import WEEK_D, judge_drift, weekly_shares
 from models.thermal.features import BoolArray
 
 DAY_S = 86_400.0
-BEFORE_S = 60.0
-"""The guard's echo, and the model in force, are looked for so long before a reference or a probe."""
+BEFORE_S, CYCLES = 60.0, 2.0
+"""The guard's echo, and the estimate in force, are looked for so long before a reference or a probe, the estimate for
+so many cycles of the temperatures where that is longer."""
 WARM_UP_S = 30 * DAY_S
 """References are looked for so long before the first probe."""
 STEP_MIN = 10
@@ -99,7 +100,7 @@ def _of_probes(
         if um_per_unit is not None and set_utc_s is not None:
             baseline = _echo(configuration, reader, um_per_unit, set_utc_s)
         for probe in group:
-            model_id = _model_in_force(reader, probe.time.utc_s)
+            model_id = _model_in_force(configuration, reader, probe.time.utc_s)
             start_um = 0.0 if um_per_unit is None else baseline.get(probe.axis, np.nan)
             each = _of_probe(probe, model_id, start_um)
             if not model_id or not np.isfinite([each.without_um, each.left_um]).all():
@@ -129,7 +130,7 @@ def _added_there(
         applied_per_m = echo.get(one.slope, np.nan) - baseline.get(one.slope, np.nan)
     positions = reader.cnc(utc_s - BEFORE_S, utc_s + 1.0).positions_mm.get(one.position or "", np.empty(0))
     along_m = float(one.along_m(positions[-1] if len(positions) else np.nan))
-    frame = reader.frame(ESTIMATES, utc_s - BEFORE_S, utc_s + 1.0, {"thermal_error_um"})
+    frame = reader.frame(ESTIMATES, _estimated_since_utc_s(configuration, utc_s), utc_s + 1.0, {"thermal_error_um"})
     channel = configuration.compensation.axes[one.slope].estimate or ""
     said = frame.mapping("thermal_error_um").values.get(channel, np.zeros(0)) if frame.rows else np.zeros(0)
     per_m = float(np.nan_to_num(said[-1])) if len(said) else 0.0
@@ -164,9 +165,14 @@ def _echo(
     return {axis: float(values[-1]) * um_per_unit[axis] for axis, values in known.items() if values is not None}
 
 
-def _model_in_force(reader: HistoryReader, utc_s: float) -> str:
+def _estimated_since_utc_s(configuration: Configuration, utc_s: float) -> float:
+    """Return since when the estimate that was in force at a time may have been made."""
+    return utc_s - max(BEFORE_S, CYCLES * configuration.temperatures.shortest_period_s)
+
+
+def _model_in_force(configuration: Configuration, reader: HistoryReader, utc_s: float) -> str:
     """Return which model made the estimate at a time, '' where none was kept."""
-    frame = reader.frame(ESTIMATES, utc_s - BEFORE_S, utc_s + 1.0, {"model_id"})
+    frame = reader.frame(ESTIMATES, _estimated_since_utc_s(configuration, utc_s), utc_s + 1.0, {"model_id"})
     return str(frame.texts("model_id")[-1]) if frame.rows else ""
 
 

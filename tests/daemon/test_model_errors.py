@@ -15,6 +15,7 @@ from config.loader import load_configuration
 from config.sample import sample_configuration
 from config.schema import Configuration
 from config.schema.displacements import DisplacementChannelConfig, DisplacementFileConfig, DisplacementsConfig
+from config.schema.temperatures import TemperaturesConfig
 from daemon.cli import main
 from daemon.history.layout import MachineLayout
 from daemon.history.reader import HistoryReader
@@ -29,7 +30,14 @@ BASELINE_UM = 3.0
 
 
 def fill(
-    configuration: Configuration, start_s: float, days: int, share_left, *, model_id: str = "m1", on: bool = True
+    configuration: Configuration,
+    start_s: float,
+    days: int,
+    share_left,
+    *,
+    model_id: str = "m1",
+    on: bool = True,
+    estimated_before_s: float = 5.0,
 ) -> None:
     """A reference and two probe values a day; the machine errs by 10 to 20 um, the model takes its part away."""
     layout = MachineLayout.from_configuration(configuration)
@@ -47,7 +55,7 @@ def fill(
             probe_s = set_s + 3600.0 * (number + 1)
             error_um = 10.0 + (7 * day + 3 * number) % 11
             estimated_um = (1.0 - share_left(day)) * error_um
-            writer.estimate(make.estimate(probe_s - 5.0, np.zeros(3), model_id=model_id))
+            writer.estimate(make.estimate(probe_s - estimated_before_s, np.zeros(3), model_id=model_id))
             writer.probe(
                 ProbeSample(
                     time=make.instant(probe_s),
@@ -95,6 +103,15 @@ def test_each_accepted_probe_value_says_what_the_model_left(tmp_path: Path) -> N
         assert each.without_um == pytest.approx(error_um) and each.left_um == pytest.approx(0.2 * error_um)
         assert each.with_um == pytest.approx(each.left_um) and each.source == "probe"
     assert errors_of(configuration, {"y": 1.0}) == [], "without the echo of z its baseline is not known"
+
+
+def test_sensors_that_are_read_every_five_minutes_hide_no_probe_value(tmp_path: Path) -> None:
+    configuration = machine(tmp_path)
+    lines = [line.model_dump() | {"cycle_period_s": 300.0} for line in configuration.temperatures.lines]
+    temperatures = TemperaturesConfig.model_validate(configuration.temperatures.model_dump() | {"lines": lines})
+    configuration = configuration.model_copy(update={"temperatures": temperatures})
+    fill(configuration, make.EPOCH_S, 3, lambda day: 0.2, estimated_before_s=299.0)
+    assert len(errors_of(configuration)) == 6
 
 
 ZERO_UM = 400.0
