@@ -10,7 +10,7 @@ import structlog
 from config.schema import Configuration
 from daemon.estimation.inputs import NoPositions
 from daemon.history.database import HistoryError
-from daemon.history.reader import HistoryReader
+from daemon.history.restart_reader import RestartReader
 from daemon.state_store.documents import CalendarOfBoot, ControlRead
 from daemon.state_store.store import StateStore
 from daemon.telemetry.metrics import give_memory_back
@@ -86,7 +86,7 @@ class HistoryBackfill:
         if not self._store.is_file():
             return now_s
         try:
-            with HistoryReader(self._store, also_on_full_disk=True) as reader:
+            with RestartReader(self._store, also_on_full_disk=True) as reader:
                 rows = (reader.extent(kind) for kind in ("cnc", "displacements"))
                 return max([now_s, *(to_utc_s for _, to_utc_s in filter(None, rows))])
         except HistoryError as error:
@@ -117,7 +117,7 @@ class HistoryBackfill:
         if not self._store.is_file():
             return
         try:
-            with HistoryReader(self._store, also_on_full_disk=True) as reader:
+            with RestartReader(self._store, also_on_full_disk=True) as reader:
                 window_s = max(round(WINDOW_S / period_s), 1) * period_s
                 begin_s = from_s
                 while begin_s < to_s - 1e-6:
@@ -141,7 +141,7 @@ class HistoryBackfill:
         if not self._store.is_file():
             return degc, at_s, read
         try:
-            with HistoryReader(self._store, also_on_full_disk=True) as reader:
+            with RestartReader(self._store, also_on_full_disk=True) as reader:
                 while (unknown := np.isnan(degc)).any() and now_s - end_s < self._longest_s:
                     later, read = read, []
                     for span, from_utc_s, to_utc_s in self._within(end_s - RECALL_S, end_s):
@@ -161,7 +161,7 @@ class HistoryBackfill:
         return degc, at_s, read
 
     def _window(
-        self, reader: HistoryReader, begin_s: float, end_s: float, period_s: float
+        self, reader: RestartReader, begin_s: float, end_s: float, period_s: float
     ) -> Iterator[tuple[float, FloatArray, float]]:
         rows = (self._rows(reader, *within) for within in self._within(begin_s, end_s))
         at_s, degc, cnc_s, speed_rpm, positions = (np.concatenate(part) for part in zip(*rows, strict=True))
@@ -188,7 +188,7 @@ class HistoryBackfill:
                 yield span, max(begin_s, span.from_s) + span.to_utc_s, min(end_s, span.until_s) + span.to_utc_s
 
     def _rows(
-        self, reader: HistoryReader, span: _Span, from_utc_s: float, to_utc_s: float
+        self, reader: RestartReader, span: _Span, from_utc_s: float, to_utc_s: float
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return times [s] and temperatures [degC], times [s], speeds [1/min] and axis positions [mm] of a span."""
         found = reader.temperatures(self._sensor_ids, from_utc_s - LEAD_S, to_utc_s)

@@ -13,8 +13,8 @@ from daemon.history.columns.joining import ms_from_s
 from daemon.history.columns.kinds import CNC, DISPLACEMENTS, ESTIMATES, TEMPERATURES, WRITES
 from daemon.history.columns.packing import Extremes, decode_extremes
 from daemon.history.database import HOUR_MS
-from daemon.history.reader import TABLES, HistoryReader, naming_damage
-from daemon.history.series import EventRecord
+from daemon.history.reader import EventRecord, HistoryReader
+from daemon.history.restart_reader import TABLES, naming_damage
 from models.quality import Quality
 
 HOUR_S = 3600.0

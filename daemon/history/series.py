@@ -1,4 +1,4 @@
-"""The results of the reader: records as columns over time, and the audit as records."""
+"""Results of reading the store: records as columns over time, and the audit as records."""
 
 import json
 from collections.abc import Iterable, Sequence
@@ -53,17 +53,6 @@ class TemperatureHistory:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DisplacementHistory:
-    """Displacements as the logger wrote them."""
-
-    time_s: FloatArray
-    um: dict[str, FloatArray]
-    """Per channel [um], NaN where there was no number."""
-    reason: dict[str, CodeArray]
-    source: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class CncHistory:
     time_s: FloatArray
     monotonic_s: FloatArray
@@ -82,26 +71,6 @@ class CncHistory:
     """NaN where vacant or not asked for."""
     positions_mm: dict[str, FloatArray]
     """Machine positions by name [mm], NaN where there was none."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EstimateHistory:
-    """Thermal errors as estimated."""
-
-    time_s: FloatArray
-    line: tuple[str, ...]
-    """The line whose cycle renewed each estimate."""
-    cycle_time_s: FloatArray
-    """First byte of the cycle behind each estimate."""
-    thermal_error_um: dict[str, FloatArray]
-    band_um: dict[str, FloatArray]
-    label_degc: dict[str, FloatArray]
-    label_increment_degc: dict[str, FloatArray]
-    in_domain: npt.NDArray[np.bool_]
-    confidence: FloatArray
-    imputed: tuple[tuple[int, ...], ...]
-    model_id: tuple[str, ...]
-    reference_id: tuple[str | None, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,16 +106,6 @@ class WriteRecord:
     """From the cycle's last byte to the poll that showed it applied in full [s], in the machine's time; None: never."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EventRecord:
-    """An operator's action, a change of state, an alarm."""
-
-    time_s: float
-    kind: str
-    text: str
-    person: str | None
-
-
 STAGES = ("cleansed", "estimated", "written", "read_back")
 
 
@@ -155,7 +114,7 @@ def write_records(frame: Frame) -> list[WriteRecord]:
 
 
 def possible_macros(newest_first: Iterable[WriteRecord], of: Sequence[int]) -> dict[int, tuple[float, ...]]:
-    """Return per macro what it may hold by the audit, as `HistoryReader.last_written_macros` says."""
+    """Return per macro what it may hold by the audit, as `RestartReader.last_written_macros` says."""
     since_verified: list[WriteRecord] = []
     for record in newest_first:
         written = {number for number, _ in record.macros}

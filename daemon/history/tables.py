@@ -11,8 +11,8 @@ from daemon.history.columns.codec import FloatArray, IntArray
 from daemon.history.columns.frames import ColumnType, Frame, Kind, MappingColumn
 from daemon.history.columns.kinds import KINDS, TEMPERATURES
 from daemon.history.decimation import recorded_hours
-from daemon.history.reader import HistoryReader
-from daemon.history.series import NOT_IN_CYCLE, EventRecord, TemperatureHistory
+from daemon.history.reader import EventRecord, HistoryReader
+from daemon.history.series import NOT_IN_CYCLE, TemperatureHistory
 from models.quality import Quality, Reason
 from models.records import WriteOutcome
 

@@ -15,7 +15,7 @@ from daemon.history.database import HistoryError, OlderStoreError, connect_write
 from daemon.history.engine import Engine, cause_in_words
 from daemon.history.intake import Commit, Entry, Execute, Intake, LayoutIds
 from daemon.history.layout import MachineLayout
-from daemon.history.reader import HistoryReader
+from daemon.history.restart_reader import RestartReader
 from daemon.history.retention import HousekeepingReport
 from daemon.history.series import WriteRecord
 from daemon.history.store_lock import WriterLock
@@ -285,16 +285,16 @@ class HistoryWriter:
             self._last_displacement_utc_s = self._look_up(lambda reader: reader.last_displacement_utc_s())
         return self._last_displacement_utc_s
 
-    def _look_up(self, question: Callable[[HistoryReader], T]) -> T | None:
+    def _look_up(self, question: Callable[[RestartReader], T]) -> T | None:
         if not self.path.is_file() or self.path.stat().st_size == 0:
             return None
         try:
             try:
-                reader = HistoryReader(self.path, also_on_full_disk=True)
+                reader = RestartReader(self.path, also_on_full_disk=True)
             except OlderStoreError:
                 self._lock.acquire()
                 connect_writer(self.path).close()
-                reader = HistoryReader(self.path, also_on_full_disk=True)
+                reader = RestartReader(self.path, also_on_full_disk=True)
             with reader:
                 return question(reader)
         except sqlite3.Error as error:

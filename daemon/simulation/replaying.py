@@ -16,7 +16,7 @@ from config.records.commissioning import macro_map_digest
 from config.schema.base import NAME_PATTERN
 from config.schema.cnc import MacroMapConfig
 from config.schema.temperatures import LONGEST_CHAIN, CleansingConfig
-from daemon.history.series import EventRecord
+from daemon.history.reader import EventRecord
 from daemon.model_release.loading import read_model
 from daemon.workbench.thermal.reading import common_map
 from drivers.contract import SIMULATED_CNC_IDENTITY

@@ -18,7 +18,8 @@ from daemon.history.columns.kinds import CNC, CYCLES, DISPLACEMENTS, ESTIMATES, 
 from daemon.history.columns.packing import cycle_block
 from daemon.history.columns.temperature_chunks import CycleBlock, decode_temperatures
 from daemon.history.cursors import Position, generation
-from daemon.history.reader import HistoryReader, naming_damage
+from daemon.history.reader import HistoryReader
+from daemon.history.restart_reader import naming_damage
 from models.units import degc_from_int16
 
 ROWS_AT_ONCE = 500

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from thermal_runs import run
 
 from daemon.cli import main
-from daemon.history.series import EventRecord
+from daemon.history.reader import EventRecord
 from daemon.simulation.replaying import LEAST_SHARE, following, pauses
 
 

@@ -26,7 +26,8 @@ from daemon.cnc.write_ahead import WriteAheadRecord
 from daemon.estimation.model_in_use import ModelInUse
 from daemon.history.database import connect_writer
 from daemon.history.layout import MachineLayout
-from daemon.history.reader import TABLES, HistoryReader
+from daemon.history.reader import HistoryReader
+from daemon.history.restart_reader import TABLES
 from daemon.history.writer import HistoryWriter
 from daemon.model_release.bearings import load_released_bearings
 from daemon.model_release.file_access import own_account

@@ -26,7 +26,8 @@ from daemon.cli.operate.history_view import (
 )
 from daemon.cli.options import ProgressBar, json_option
 from daemon.history.columns.kinds import TEMPERATURES
-from daemon.history.reader import TABLES, HistoryReader
+from daemon.history.reader import HistoryReader
+from daemon.history.restart_reader import TABLES
 from daemon.history.tables import EVENTS, Table
 from models.json_values import plain
 from models.records import ProbeSample

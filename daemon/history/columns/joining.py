@@ -1,14 +1,11 @@
 """Joining what was read from rows and chunks, in order of time."""
 
-from typing import Any
-
 import numpy as np
 
 from daemon.history.columns.codec import FloatArray, IntArray
 from daemon.history.columns.frames import Frame, select_rows
 from daemon.history.columns.temperature_chunks import CycleBlock
 from daemon.history.series import NOT_IN_CYCLE, TemperatureHistory
-from models.records import Instant, ProbeSample, Reference
 from models.units import degc_from_int16
 
 
@@ -25,12 +22,6 @@ def time_s_of(frame: Frame) -> FloatArray:
 def texts_of(frame: Frame, name: str) -> tuple[str, ...]:
     """Return a text column that has no NULL."""
     return tuple(text or "" for text in frame.texts(name))
-
-
-def increments_of(frame: Frame) -> dict[str, FloatArray]:
-    """Return each label's change since the reference [K]."""
-    now, at_reference = frame.mapping("label_degc").values, frame.mapping("label_reference_degc").values
-    return {label: np.round(now[label] - before, 3) for label, before in at_reference.items()}
 
 
 def in_order(frame: Frame, from_ms: int, to_ms: int) -> Frame:
@@ -78,31 +69,4 @@ def merge_cycles(
         degc=degc[order],
         quality=quality[order],
         reason=reason[order],
-    )
-
-
-def reference_from_row(row: tuple[Any, ...]) -> Reference:
-    reference_id, monotonic_s, utc_s, real_s, source, degc, program, work_offset, power_on_count = row
-    return Reference(
-        reference_id=reference_id,
-        time=Instant(monotonic_s=monotonic_s, utc_s=utc_s, real_s=real_s),
-        source=source,
-        degc=np.frombuffer(degc, dtype="<f8").astype(np.float64),
-        program=program,
-        work_offset=work_offset,
-        power_on_count=power_on_count,
-    )
-
-
-def probe_from_row(row: tuple[Any, ...]) -> ProbeSample:
-    utc_ms, monotonic_ms, axis, deviation_um, applied_um, thermal_error_um, reference_id, accepted, reason = row
-    return ProbeSample(
-        time=Instant(monotonic_s=monotonic_ms / 1e3, utc_s=utc_ms / 1e3, real_s=monotonic_ms / 1e3),
-        axis=axis,
-        deviation_um=deviation_um,
-        applied_um=np.nan if applied_um is None else applied_um,
-        thermal_error_um=np.nan if thermal_error_um is None else thermal_error_um,
-        reference_id=reference_id,
-        accepted=bool(accepted),
-        reason=reason,
     )
