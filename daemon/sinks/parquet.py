@@ -50,6 +50,7 @@ HINTS = {
     "ACCESS_DENIED": "check the keys in the unit's environment, their rights there, and this computer's clock",
     "INVALID_ACCESS_KEY_ID": "check AWS_ACCESS_KEY_ID in the unit's environment",
     "SIGNATURE": "check AWS_SECRET_ACCESS_KEY in the unit's environment",
+    "HTTP status 400)": "check the keys in the unit's environment: temporary ones (AWS_SESSION_TOKEN) expire",
     "configured region": "check `region=` in `folder`",
     "NO_SUCH_BUCKET": "there is no such bucket: check `folder`",
     "NETWORK_CONNECTION": "check `folder`, the network, and that the server runs",

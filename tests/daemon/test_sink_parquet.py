@@ -263,6 +263,7 @@ def test_an_object_store_that_is_killed_under_load_has_every_file_once(
     ("code", "name", "said"),
     [
         (403, "RequestTimeTooSkewed", "this computer's clock"),
+        (400, "ExpiredToken", "temporary ones (AWS_SESSION_TOKEN) expire"),
         (403, "InvalidAccessKeyId", "check AWS_ACCESS_KEY_ID in the unit's environment"),
         (403, "SignatureDoesNotMatch", "check AWS_SECRET_ACCESS_KEY in the unit's environment"),
         (404, "NoSuchBucket", "check `folder`"),
