@@ -21,14 +21,15 @@ def configure_logging(level: Literal["debug", "info", "warning", "error"], *, te
         structlog.contextvars.merge_contextvars,
         structlog.stdlib.add_log_level,
         structlog.processors.TimeStamper(fmt="iso", utc=True),
+        structlog.processors.format_exc_info,
         _printable,
     ]
+    plain = structlog.dev.plain_traceback  # others show what the variables hold, passwords too
     renderer: structlog.types.Processor = (
-        structlog.dev.ConsoleRenderer(colors=human) if human else structlog.processors.JSONRenderer()
+        structlog.dev.ConsoleRenderer(exception_formatter=plain) if human else structlog.processors.JSONRenderer()
     )
-    errors: list[structlog.types.Processor] = [] if human else [structlog.processors.format_exc_info]
     structlog.configure(
-        processors=[*shared, *errors, renderer],
+        processors=[*shared, renderer],
         wrapper_class=structlog.make_filtering_bound_logger(getattr(logging, level.upper())),
         logger_factory=structlog.PrintLoggerFactory(file=sys.stderr),
         cache_logger_on_first_use=False,
@@ -37,7 +38,7 @@ def configure_logging(level: Literal["debug", "info", "warning", "error"], *, te
     handler.setFormatter(
         structlog.stdlib.ProcessorFormatter(
             foreign_pre_chain=shared,
-            processors=[structlog.stdlib.ProcessorFormatter.remove_processors_meta, *errors, renderer],
+            processors=[structlog.stdlib.ProcessorFormatter.remove_processors_meta, renderer],
         )
     )
     root = logging.getLogger()
