@@ -131,6 +131,12 @@ def refuse_forbidden(groups: Sequence[Sequence[tuple[int, float]]], config: CncC
 MM_PER_INCH = 25.4
 
 
+def what_broke(error: Exception) -> str:
+    """Say what ended a connection, or kept it from coming about."""
+    nobody = "nothing listens there: check address and port, and that the server runs"
+    return nobody if isinstance(error, ConnectionRefusedError) else str(error) or type(error).__name__
+
+
 def position_mm(axis: AxisPositionConfig, value: float | None, *, inch: bool | None = None) -> float:
     """Return a machine position [mm], NaN for none; `inch` is what the control says of its unit, None: nothing."""
     if value is None or not math.isfinite(value):

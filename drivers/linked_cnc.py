@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Generic, NoReturn, Protocol, TypeVar
 
 from config.schema.cnc import CncConfig
 from drivers.clock import Clock
-from drivers.contract import ClockWatch, LinkError, Security, refuse_forbidden
+from drivers.contract import ClockWatch, LinkError, Security, refuse_forbidden, what_broke
 from models.records import CncSample
 
 T = TypeVar("T")
@@ -216,4 +216,4 @@ class LinkedCnc(ABC):
         except UnicodeError as error:  # of a host's name, before anything is sent
             self._lose(f"{self._name} is no address that can be looked up: see that no dot stands twice", error)
         except OSError as error:
-            self._lose(f"{self._name} was lost while {what}: {error}", error)
+            self._lose(f"{self._name} was lost while {what}: {what_broke(error)}", error)

@@ -31,6 +31,7 @@ from drivers.contract import (
     LinkError,
     Security,
     refuse_forbidden,
+    what_broke,
 )
 from drivers.opcua.bounded import bounded_client
 from drivers.opcua.log import limit_library_log
@@ -293,9 +294,7 @@ class OpcUaCnc:
                 raise FatalDriverError(f"{self._endpoint} {REFUSALS[error.code]} ({name})") from error
             self._lose(f"{self._endpoint} reported {ua.StatusCode(error.code).name} while {what}", error)
         except (OSError, UaError, UnicodeError) as error:  # the last of a host's name that is none
-            self._lose(
-                f"{self._endpoint} was lost while {what}: {error or type(error).__name__}{self._suspicion()}", error
-            )
+            self._lose(f"{self._endpoint} was lost while {what}: {what_broke(error)}{self._suspicion()}", error)
         except UNREADABLE as error:
             if what not in (CONNECTING, RENEWING):  # elsewhere the answer is decoded here, and this is a defect
                 raise
@@ -303,9 +302,7 @@ class OpcUaCnc:
 
     def _suspicion(self) -> str:
         """Say what a server that breaks off the secure handshake without a word usually means."""
-        if not (self.security == "encrypted" and self._client is not None and not self.identity):
-            return ""
-        return NOT_TRUSTED
+        return NOT_TRUSTED if self.security == "encrypted" and self._client is not None and not self.identity else ""
 
 
 def check_offer(

@@ -16,7 +16,7 @@ from config.schema.cnc_drivers import OpcUaSecurityConfig
 from config.schema.source_drivers import SourceEntry
 from config.schema.source_sections import OpcUaServer
 from drivers.clock import Clock
-from drivers.contract import FatalDriverError, LinkError
+from drivers.contract import FatalDriverError, LinkError, what_broke
 from drivers.json_fields import QUOTED, number_of
 from drivers.opcua.bounded import bounded_client
 from drivers.opcua.certificates import REFUSALS, load_credentials
@@ -123,7 +123,7 @@ class TagSession:
                 raise FatalDriverError(f"{self._where} {REFUSALS[code]} ({type(error).__name__})") from error
             secured = what == CONNECTING and self._client and self._place.security
             unsure = NOT_TRUSTED if secured and code is None else ""
-            raise LinkError(f"{self._where} was lost while {what}: {error or type(error).__name__}{unsure}") from error
+            raise LinkError(f"{self._where} was lost while {what}: {what_broke(error)}{unsure}") from error
         except UNREADABLE as error:
             words = f"{self._where} answers what cannot be read while {what} ({type(error).__name__})"
             raise LinkError(words) from error

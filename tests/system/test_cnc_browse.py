@@ -72,7 +72,7 @@ def test_a_text_is_proposed_where_it_is_read_and_nowhere_else() -> None:
         ((), "name the server"),
         (("http://here",), "name the server"),
         (("opc.tcp://here:1", "-c", str(shipped_file("cfrpmt.yaml"))), "and not both"),
-        (("opc.tcp://127.0.0.1:1/x",), "was lost while connecting"),
+        (("opc.tcp://127.0.0.1:1/x",), "was lost while connecting: nothing listens there: check address and port"),
         (("opc.tcp://127.0.0.1:1/x", "--timeout-s", "nan"), "nan is not a finite number"),
     ],
 )

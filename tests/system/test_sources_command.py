@@ -212,4 +212,6 @@ def test_a_scan_lists_the_numbers_of_a_server_with_their_units_and_can_be_pasted
     assert sources["opcua"]["sensors"]["401"]["degc"] == 23.5
     assert sources["gauges"]["channels"]["Gauge"]["um"] == pytest.approx(125.0)
     nobody = runner.invoke(main, ["sources", "scan", "opcua", "127.0.0.1:1"])
-    assert nobody.exit_code == 1 and "opc.tcp://127.0.0.1:1 was lost while connecting" in nobody.output
+    assert (
+        nobody.exit_code == 1 and "127.0.0.1:1 was lost while connecting: nothing listens there: check" in nobody.output
+    )
