@@ -84,4 +84,6 @@ def contradiction(kind: str, name: str, meant: str, row: str | None = None) -> s
         advice = f"say {_KEYS[kind].format(name=name, unit=found)} in the map"
         if row is None:
             advice += f", or {_KEYS[kind].format(name=name, unit=meant)} where the name is wrong"
+        else:
+            advice += " (of one recording alone: convert its column)"
     return f"column {name!r} is in {found}, {by}, and is read in {meant}: {advice}"

@@ -82,6 +82,9 @@ _FORMATS = (
 """Where a clock has twelve hours, the month is first as a rule."""
 _NINES = re.compile(r"-?9{3,}([.,](9+|0+))?|-?3276[78]([.,]0+)?")
 """What loggers write where they have no value."""
+_NO_NUMBER = re.compile(r"#|[+-]?1[.,]#(IND|QNAN|SNAN|INF)")
+LARGEST = 1e9
+"""No sensor says more, in whatever unit: what is written so has overflown."""
 FAR_OFF = 3.0
 """So many times as far from all other values of a column as these from each other: then it is none."""
 FEWEST_NUMBERED = 4
@@ -89,6 +92,7 @@ FEWEST_NUMBERED = 4
 JAPANESE = ("温度", "変位", "時刻", "日時", "回転")
 """Words of recordings, by which their encoding is told."""
 _WITHOUT_THOUSANDS = "a mark separates thousands; export the file without such marks"
+_LIKE_THOUSANDS = re.compile(r"[+-]?\d{1,3}([.,]\d{3})+")
 _MILLISECONDS = re.compile(r"\bms(ec)?\b|_ms$|milli")
 
 
@@ -176,8 +180,7 @@ def propose_map(header: Sequence[str], rows: Sequence[Sequence[str]], encoding: 
         fitting = {name: channel for name, channel in named.items() if channel and channel not in header}
         if fitting and len(set(named.values())) == len(named):
             keys["displacement_names"] = fitting
-    if any("," in text for name in numbers for text in columns[name]):
-        keys["decimal"] = ","
+    keys |= _decimal_key({name: columns[name] for name in numbers if name in taken or kinds[name] is not None}, notes)
     keys |= {"encoding": encoding} if encoding != "utf-8" else {}
     keys |= {"unit_row": True} if unit_row else {}
     texts = [name for name in columns if complete and name not in numbers and name not in taken]
@@ -213,6 +216,20 @@ def _speed_keys(
     ]
     unit = unit_in(described[speeds[0]])
     return {"speed": speeds[0]} | ({"speed_unit": unit} if unit in RPM_PER_UNIT and unit != "1/min" else {})
+
+
+def _decimal_key(columns: Mapping[str, Sequence[str]], notes: list[str]) -> dict[str, str]:
+    """Return the key of the decimal mark; where commas and points stand in numbers, one of them separates thousands."""
+    with_mark = {m: {name: text for name, of in columns.items() for text in of if m in text} for m in ",."}
+    if not with_mark[","]:
+        return {}
+    if not with_mark["."]:
+        return {"decimal": ","}
+    commas = [text for of in columns.values() for text in of if "," in text]
+    of_thousands = "," if all(_LIKE_THOUSANDS.fullmatch(text) for text in commas) else "."
+    name, text = next(iter(with_mark[of_thousands].items()))
+    notes.append(f"{name!r} holds {text!r}: {_WITHOUT_THOUSANDS}")
+    return {"decimal": ","} if of_thousands == "." else {}
 
 
 def _of_temperature(said: str, texts: Sequence[str]) -> str | None:
@@ -344,7 +361,12 @@ def _no_time(name: str, texts: Sequence[str]) -> str:
         )
     if with_marks := next(filter(has_thousands, texts), ""):
         return f"{name!r} holds {with_marks!r}: {_WITHOUT_THOUSANDS}"
-    if not texts or _numbers(texts):
+    if _numbers(texts):
+        return (
+            f"{name!r} holds numbers that do not grow from row to row: where the newest row comes first, sort the rows "
+            "by time; where the logger was restarted, split the file there"
+        )
+    if not texts:
         return ""
     return (
         f"{name!r} holds {texts[0]!r}, a time of a form that is not known: say it as time_format, such as "
@@ -407,7 +429,8 @@ def _for_missing(texts: Sequence[str]) -> set[str]:
     wordy = 2 * len(known) < len([text for text in texts if text])
     if wordy:
         return set()
-    return _far_nines(known) | {text for text in words if text[0] == "#" or not any(mark.isdigit() for mark in text)}
+    told = {text for text in words if _NO_NUMBER.match(text) or not any(mark.isdigit() for mark in text)}
+    return _far_nines(known) | told | {text for text in known if abs(_number(text) or 0.0) > LARGEST}
 
 
 def _far_nines(texts: Sequence[str]) -> set[str]:

@@ -55,6 +55,7 @@ LONGEST_STEP_S = 27 * 24 * HOUR_S
 """A run goes on for hours; a day that is read as a month is farther off [s]."""
 LARGEST = 1e9
 """No sensor says more, in whatever unit; what stands for a missing value may."""
+_MISSING_SAID = "where it stands for a missing value, say missing: [{!r}] in the map, or leave the field empty"
 _WITH_UNIT = re.compile(r"[+-]?\d+([.,]\d*)?\s*([°℃℉%µμ]|[a-z])[a-z/]*", re.IGNORECASE)
 
 
@@ -304,7 +305,7 @@ def _number(place: Place, column: str, text: str, decimal: str | None) -> float:
     except ValueError:
         raise place.refuse(f"{text[:40]!r} is not a number; {_advice(text, decimal)}", column) from None
     if abs(number) > LARGEST:
-        raise place.refuse(f"{text!r} is not a possible value; leave the field empty where it is missing", column)
+        raise place.refuse(f"{text!r} is not a possible value; {_MISSING_SAID.format(text)}", column)
     return number
 
 
@@ -320,7 +321,7 @@ def _advice(text: str, decimal: str | None) -> str:
         return "where a mark separates thousands, export without it"
     if _WITH_UNIT.fullmatch(text):
         return "write the number alone, and its unit into the name of the column"
-    return f"where it stands for a missing value, say missing: [{text[:40]!r}] in the map, or leave the field empty"
+    return _MISSING_SAID.format(text[:40])
 
 
 def _degc(values: npt.NDArray[np.float64], unit: str, *, rises: bool) -> npt.NDArray[np.float64]:

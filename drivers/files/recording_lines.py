@@ -15,6 +15,10 @@ LONGEST_LINE = 2**20
 METADATA_MARK = "#"
 SEPARATOR_LINE = "sep="
 """Spreadsheets begin a file with it; it says nothing that the header does not."""
+WORKBOOKS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
+"""Files of spreadsheets (xlsx, xls) begin so."""
+MOST_LINES_OF_NAMES = 20
+"""Spreadsheets break long names in quotes into lines; a header of more lines is none."""
 FEWEST_COLUMNS = 3
 """A recording has a time, a temperature and a displacement."""
 MOST_BEFORE_HEADER = 100
@@ -75,6 +79,9 @@ class opened:
     def __enter__(self) -> Iterator[str]:
         try:
             self._file = self._place.path.open(encoding=self._encoding, newline="")
+            if self._file.buffer.peek(4)[:4] in WORKBOOKS:  # type: ignore[attr-defined]
+                self._file.close()
+                raise self._place.refuse("is a workbook of a spreadsheet, no CSV: save the sheet as CSV (UTF-8) there")
         except OSError as error:
             raise self._place.refuse(f"cannot be opened ({error.strerror})") from error
         return self._lines()
@@ -110,9 +117,12 @@ def header_of(place: Place, lines: Iterator[str]) -> tuple[list[str], str]:
         line = next(lines, "")
     if not line.strip():
         raise place.refuse("has no header row with the names of its columns")
+    first = place.line
+    while line.count('"') % 2 and place.line < first + MOST_LINES_OF_NAMES and (more := next(lines, "")):
+        line += more
     delimiter = max(DELIMITERS, key=line.count)
     try:
-        names = [name.strip() for name in next(csv.reader([line], delimiter=delimiter))]
+        names = [" ".join(name.split()) for name in next(csv.reader([line], delimiter=delimiter))]
     except csv.Error as error:
         raise place.refuse(f"is not CSV ({error})") from error
     if len(names) > MAX_FIELDS:

@@ -369,7 +369,7 @@ def _temperature_units(recording: Recording) -> Iterator[Finding]:
             advice = "where its sensor broke, leave those fields empty, or leave this recording out"
             yield _error(name, None, f"{share}: {advice}; else {WITHOUT}")
         elif median > HIGHEST_DEGC:
-            kelvin = KELVIN_ABOVE < median < KELVIN_BELOW
+            kelvin = float(np.quantile(known, 0.05)) > KELVIN_ABOVE and median < KELVIN_BELOW
             unit = "kelvin" if kelvin else "tenths of a degree, raw counts or an open wire"
             advice = f"say {_UNIT_SAID.format(name=name, unit='K')} in the map" if kelvin else WITHOUT
             yield _error(name, None, f"a median of {median:.4g} cannot be degC; it looks like {unit}: {advice}")

@@ -35,6 +35,8 @@ STUCK_K = 1.0
 """... if the others say that it moved by more than this [K] ..."""
 STUCK_TIMES = 3.0
 """... and by more than so many times what it usually leaves."""
+STUCK_STEPS = 3.0
+"""... and by more than so many of its smallest steps: a coarse sensor stands still until it takes one."""
 MOST_SUSPECTED = 8
 """So many sensors are tried as the one that is wrong."""
 AGREES_AGAIN = 0.5
@@ -188,13 +190,20 @@ def _stuck(
             if stop - first < FEWEST_ROWS or time_s[stop - 1] - time_s[first] < STUCK_S:
                 continue
             moved_k = float(np.ptp(residual[first:stop, column]))
-            times = moved_k / max(STUCK_K, STUCK_TIMES * float(usual_k[column]))
+            step_k = _resolution_k(recordings[part.recording].temperatures_degc[:, sensor])
+            times = moved_k / max(STUCK_K, STUCK_TIMES * float(usual_k[column]), STUCK_STEPS * step_k)
             if times > most:
                 row = int(np.searchsorted(recordings[part.recording].time_s, time_s[first]))
                 hours = float(time_s[stop - 1] - time_s[first]) / 3600.0
                 best = Disagreement(recording=part.recording, sensor=sensor, row=row, stuck_h=hours, by_k=moved_k)
                 most = times
     return best
+
+
+def _resolution_k(degc: FloatArray) -> float:
+    """Return the smallest step between two values of a sensor [K]; 0 where it has one value alone."""
+    steps_k = np.diff(np.unique(degc[np.isfinite(degc)]))
+    return float(steps_k.min()) if len(steps_k) else 0.0
 
 
 def _longest_still(values: FloatArray) -> tuple[int, int]:

@@ -78,6 +78,19 @@ def test_marks_that_separate_thousands_are_told_as_such() -> None:
     assert len(found.notes) == 2 and all("separates thousands; export" in note for note in found.notes)
 
 
+def test_commas_in_some_numbers_and_points_in_others_are_told() -> None:
+    header = ["t_s", "rpm", "T1", "X_um"]
+    american = propose_map(header, [["0", "12,000", "20.1", "1.5"], ["1", "900", "20.2", "1.6"]])
+    assert "decimal" not in american.keys and american.notes[0].startswith("'rpm' holds '12,000': a mark separates")
+    german = propose_map(header, [["0", "12.000", "20,1", "1,5"], ["1", "900", "20,2", "1,6"]])
+    assert german.keys["decimal"] == "," and german.notes[0].startswith("'rpm' holds '12.000': a mark separates")
+
+
+def test_times_from_the_newest_to_the_oldest_are_told() -> None:
+    found = propose_map(["Time [s]", "T1", "X_um"], rows("10", "0", fields=3))
+    assert found.lacking == ("time",) and "where the newest row comes first, sort the rows" in found.notes[0]
+
+
 def test_minutes_that_come_twice_are_said_once_and_no_date_is_blamed() -> None:
     fields = [["2025-03-03", "07:00", "20.1", "1"], ["2025-03-03", "07:00", "20.2", "2"]]
     (note,) = propose_map(["Date", "Time", "T1", "X_um"], fields).notes
@@ -274,6 +287,8 @@ def test_a_field_that_is_wrong_keeps_no_other_from_standing_for_a_missing_value(
     texts = [[str(second), text, "21.5", "0.1"] for second, text in enumerate(fields)]
     found = propose_map(header, texts)
     assert found.keys["missing"] == ["#DIV/0!", "---", "OL"] and found.keys["temperatures"] == ["T1", "T2"]
+    found = propose_map(header, [*texts, ["10", "1.#QNAN", "3.4E38", "0.1"]])
+    assert {"1.#QNAN", "3.4E38"} < set(found.keys["missing"])
     texts[4][1] = "2O.4"
     found = propose_map(header, texts)
     assert found.keys["missing"] == ["#DIV/0!", "---", "OL"] and found.keys["temperatures"] == ["T2"]

@@ -35,6 +35,14 @@ def test_columns_are_read_by_the_map(tmp_path: Path) -> None:
     np.testing.assert_array_equal(recording.displacements_um, [[0.5], [0.75]])
 
 
+def test_names_that_a_spreadsheet_breaks_into_lines_are_one_name_each(tmp_path: Path) -> None:
+    content = '"t","Speed\r\n[rpm]","Temp 1\n[°C]","Z [µm]"\r\n0,0,20,1\r\n15,x,20,1\r\n'
+    given = RecordingMap(time="t", speed="Speed [rpm]", temperatures=["Temp 1 [°C]"], displacements=["Z [µm]"])
+    assert "day.csv:5: column Speed [rpm]: 'x' is not a number" in refusal(tmp_path, content, given)
+    assert read_recording(written(tmp_path, content.replace("x", "9")), given).rows == 2
+    assert "does not look like the names" in refusal(tmp_path, '"t\n' + "0,1,2,3\n" * 30, given)
+
+
 def test_without_a_map_the_usual_names_are_understood(tmp_path: Path) -> None:
     recording = read_recording(written(tmp_path, GOOD))
     assert (recording.temperature_names, recording.displacement_names) == (("t1", "t2"), ("c1",))
@@ -115,7 +123,11 @@ def test_times_count_from_the_first_row_in_seconds(tmp_path: Path, unit: str, fi
             GOOD + "30,0,1,20.5 °C,21\n",
             "column t1: '20.5 °C' is not a number; write the number alone, and its unit into",
         ),
-        (GOOD + "30,0,1,20,inf\n", "day.csv:4: column t2: 'inf' is not a possible value"),
+        (
+            GOOD + "30,0,1,20,inf\n",
+            "day.csv:4: column t2: 'inf' is not a possible value; where it stands for a missing",
+        ),
+        (b"PK\x03\x04\x14\x00\x06\x00", "day.csv: is a workbook of a spreadsheet, no CSV: save the sheet as CSV"),
         (GOOD + "30,0,1,20,-1e308\n", "day.csv:4: column t2: '-1e308' is not a possible value"),
         (GOOD + ",0,1,20,21\n", "day.csv:4: column t: is empty; every row needs its time"),
         (GOOD + "nan,0,1,20,21\n", "day.csv:4: column t: 'nan' is not a time"),

@@ -204,6 +204,9 @@ def test_kelvin_millimetres_and_raw_counts_are_recognised() -> None:
         require_usable(replace(good, temperatures_degc=good.temperatures_degc + 273.15))
     with pytest.raises(DatasetError, match="looks like tenths of a degree"):
         require_usable(replace(good, temperatures_degc=good.temperatures_degc * 10.0))
+    tenths = np.linspace(190.0, 400.0, good.rows)[:, None] * np.ones(3)
+    with pytest.raises(DatasetError, match="a median of 295 cannot be degC; it looks like tenths"):
+        require_usable(replace(good, temperatures_degc=tenths))
     with pytest.raises(DatasetError, match=r"it looks like degF: say temperature_units: \{'\*': degF\} in the map"):
         require_usable(replace(good, temperatures_degc=good.temperatures_degc * 1.8 + 32.0))
     with pytest.raises(DatasetError, match="spindle speed: never above 12, which warms no spindle"):

@@ -45,6 +45,14 @@ def test_sensors_that_agree_are_not_named() -> None:
     assert disagreements([]) == []
 
 
+def test_sensors_of_one_kelvin_resolution_do_not_seem_stuck() -> None:
+    """Of four such recordings up to four sensors were called stuck, in nine of ten draws."""
+    coarse = [replace(one, temperatures_degc=np.round(one.temperatures_degc)) for one in RUNS]
+    assert disagreements(coarse) == []
+    stuck = changed(coarse[0], 1, coarse[0].temperatures_degc[30, 1], first=30)
+    assert [one.sensor for one in disagreements([stuck, *coarse[1:]])] == [1]
+
+
 @pytest.mark.parametrize("number", [0, 4])
 def test_a_stuck_sensor_is_named_with_the_row(number: int) -> None:
     recording = RUNS[number]

@@ -9,7 +9,7 @@ from typing import Any
 from config.recordings.map_proposal import JAPANESE, MapProposal, propose_map
 from config.recordings.recording_map import ColumnError, RecordingMap, matching_names, units_and_names, usual_map
 from drivers.files.recording_csv import read_recording
-from drivers.files.recording_lines import EncodingError, read_beginning
+from drivers.files.recording_lines import EncodingError, RecordingFileError, read_beginning
 from models.recordings.dataset import DatasetError, Recording
 from models.thermal.training.inputs import with_sensors
 
@@ -153,6 +153,8 @@ def proposal(path: Path) -> tuple[MapProposal, list[str] | None]:
         except EncodingError:
             if encoding == ENCODINGS[-1]:
                 raise
+    if not rows:
+        raise RecordingFileError(f"{path}: holds no rows after its header")
     found = propose_map(header, rows, encoding)
     try:
         usual = usual_map(header)
