@@ -315,6 +315,7 @@ def replay_machine(recording: Recording, model_file: Path, record_file: Path) ->
     axes, names, model = axis_names(channels), sensor_names(recording, model_file), _model(model_file)
     trained_on = "" if model is None else str(model.hyper_parameters.get(MACHINE, ""))
     period_s = float(np.median(np.diff(recording.time_s)))
+    mean_s = FIRST_BLOCK_S if model is None or model.period_s is None else model.period_s  # more lags behind
     cycle_s = min(period_s, LONGEST_CYCLE_S)
     sensors = [{"id": number, "component": "recording", "part": name} for number, name in names.items()]
     macros = _macro_map(tuple(axes))
@@ -347,7 +348,7 @@ def replay_machine(recording: Recording, model_file: Path, record_file: Path) ->
             "model_file": str(model_file.resolve()),
             "commissioning_file": str(record_file),
             "axes": {axis: {"estimate": channel, **LIMITS} for axis, channel in axes.items()},
-            "reference": {"sequence_numbers": [100], "mean_s": max(60.0, period_s)},
+            "reference": {"sequence_numbers": [100], "mean_s": mean_s},
             "output": {"safe_sequence_numbers": [900]},
         },
     }

@@ -8,6 +8,7 @@ import pytest
 import yaml
 from control_rig import SENSOR_IDS
 from small_model import model
+from whole_loop import lagged_model
 
 from daemon.simulation.processes import write_simulation_configuration
 from daemon.simulation.replaying import map_of, modelled, replay_machine
@@ -41,6 +42,18 @@ def test_the_configuration_of_a_replay_is_valid_whatever_its_columns_are_called(
     channels = [channel["name"] for channel in machine["displacements"]["channels"]]
     assert tuple(channels) == CHANNELS
     assert {axis["estimate"] for axis in machine["compensation"]["axes"].values()} == set(CHANNELS)
+
+
+def test_rows_of_five_minutes_are_averaged_as_the_machine_averages_and_not_over_their_distance(tmp_path: Path) -> None:
+    """A mean of 5 min is 2.5 min late: 1.5 um were left of a recording of which the machine leaves 0.4."""
+    slow, path = replace(recording(), time_s=5.0 * recording().time_s), tmp_path / "model.json"
+    for made, mean_s in (
+        (model(period_min=5.0), 60.0),
+        (replace(lagged_model("lags", lags_min=(1.0, 20.0)), period_min=2.0), 120.0),
+    ):
+        path.write_text(made.to_json(), encoding="utf-8")
+        machine = replay_machine(slow, path, tmp_path / "record.json")
+        assert machine["compensation"]["reference"]["mean_s"] == mean_s
 
 
 def test_more_sensors_than_one_line_carries_are_played_on_several(tmp_path: Path) -> None:
