@@ -32,7 +32,7 @@ from daemon.housekeeping.jobs import job_snapshots, scheduled_jobs
 from daemon.links import DisplacementLog, Links, Serve
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import LoadedModel, load_released
-from daemon.model_release.side_load import ModelReload
+from daemon.model_release.reload import ModelReload
 from daemon.monitor.commands import CommandDesk
 from daemon.monitor.control_socket import ControlSocket
 from daemon.monitor.status import StatusBoard

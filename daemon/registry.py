@@ -11,7 +11,7 @@ from config.schema.temperatures import TemperatureInput
 from daemon.cnc.cnc_lock import CncLock
 from daemon.housekeeping.jobs import Housekeeping, housekeeping_scheduler
 from daemon.model_release.loading import LoadedModel
-from daemon.model_release.side_load import load_beside
+from daemon.model_release.reload import load_beside
 from drivers.clock import Clock
 from drivers.contract import Cnc, DisplacementSource, TemperatureSource
 from drivers.registry import DisplacementInput, open_cnc, open_displacement_source, open_temperature_source

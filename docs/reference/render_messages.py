@@ -55,6 +55,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "The estimate and its model": (
         "daemon/estimation",
         "daemon/model_release/loading.py",
+        "daemon/model_release/reload.py",
         "daemon/model_release/side_load.py",
         "models/thermal/bias.py",
     ),

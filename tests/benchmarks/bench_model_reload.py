@@ -22,7 +22,7 @@ from config.schema import Configuration
 from daemon.cli.operate.run import THREAD_TURN_S
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import load_released
-from daemon.model_release.side_load import load_beside
+from daemon.model_release.reload import load_beside
 from daemon.simulation.simulated_model import published_sensors, simulated_recording, training_programmes
 from models.thermal.training.train_family import train_family
 

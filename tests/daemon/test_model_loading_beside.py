@@ -14,7 +14,8 @@ from small_model import model
 from config.schema import Configuration
 from daemon.model_release.file_access import own_account
 from daemon.model_release.loading import LoadedModel, load_released
-from daemon.model_release.side_load import ModelReload, load_beside, pack, unpack
+from daemon.model_release.reload import ModelReload, load_beside
+from daemon.model_release.side_load import pack, unpack
 from daemon.snapshots import ModelSnapshot
 from models.thermal.family import ThermalModel
 
