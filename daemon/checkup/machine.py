@@ -251,12 +251,13 @@ def _tool_number(configuration: Configuration) -> Iterator[Finding]:
     tuning = configuration.spindle_speed
     if tuning is not None and tuning.tool_variable == LATEST_T:
         detail = (
-            "#4120 is the latest T word, which may only prepare a tool, and both the call and the daemon read it, so "
-            "that nobody notices: a call after the T word of the next tool takes that one's speed. Call before it, or "
-            "name the variable in which the machine's builder keeps the tool in the spindle "
-            "(spindle_speed.tool_variable, cnc.focas.tool_macro)"
+            "#4120 is the latest T word, which may only prepare a tool, and both the call and the daemon read it: no "
+            "speed is tuned until the program has named the tool in the spindle by the handshake (cnc.macros.request), "
+            "or both read the variable in which the machine's builder keeps it (spindle_speed.tool_variable, "
+            "cnc.focas.tool_macro)"
         )
-        yield Finding(subject="tool of the spindle speed", passed=True, detail=detail)
+        named = configuration.cnc.macros.request is not None
+        yield Finding(subject="tool of the spindle speed", passed=named, detail=detail)
     if any(a.tool_term for a in configuration.compensation.axes.values()):
         detail = (
             "#4120 is the latest T word, which may only prepare a tool: the output holds until the program has named "

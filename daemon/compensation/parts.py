@@ -67,8 +67,8 @@ class MacroClient(Protocol):
     def on_temperatures(self, temperatures: MachineTemperatures) -> None:
         """Take a cycle of the sensors."""
 
-    async def serve(self, session: CncSession | None, phase: Phase, sample: CncSample | None) -> None:
-        """Write what is due after the latest poll, which has the part program's block while the guard runs."""
+    async def serve(self, session: CncSession | None, phase: Phase, sample: CncSample | None, tool: int | None) -> None:
+        """Write what is due after the latest poll, of the part program's block; `tool`: None where it is not known."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -167,8 +167,10 @@ class ControlTask:
         self._parts.on_tick()
 
     async def _serve_clients(self) -> None:
+        tool = self._measured.tool
+        known = None if tool.in_question else tool.number
         for client in self._parts.macro_clients:
-            await client.serve(self.session, self.phase, self._references.sample)
+            await client.serve(self.session, self.phase, self._references.sample, known)
 
     async def _take_messages(self) -> None:
         """Take what waits in the inbox; what follows a message that meets a defect is taken in the next turn."""

@@ -11,7 +11,7 @@ from daemon.cnc.interlocks import Interlocks
 from daemon.cnc.session import CncSession
 from daemon.telemetry.metrics import Telemetry
 from drivers.contract import FatalDriverError
-from models.records import CncSample, MachineTemperatures, Phase, Trace, WriteOutcome
+from models.records import MachineTemperatures, Trace, WriteOutcome
 
 TEMPERATURE_CAUSE = "temperature"
 
@@ -49,7 +49,7 @@ class TemperatureMacro:
         if math.isfinite(degc) and degc != self._shown_degc:
             self._due = (degc, temperatures.trace)
 
-    async def serve(self, session: CncSession | None, _phase: Phase, _sample: CncSample | None) -> None:
+    async def serve(self, session: CncSession | None, *_: object) -> None:
         """Write what waits; returns at once when nothing does, or when nothing may be written."""
         if self._due is None or self._config is None:
             return

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 from config.schema import Configuration
+from config.schema.cnc_drivers import LATEST_T
 from config.schema.spindle_speed import SpeedOperationConfig, SpindleSpeedConfig
 from daemon.cnc.limits import guard_programs
 from daemon.spindle_speed.macro_block import MacroValues, OperationKey, SpeedBlock, SpeedCall
@@ -43,6 +44,10 @@ class SpeedCalls:
     def __init__(self, configuration: Configuration, tuning: SpindleSpeedConfig, block: SpeedBlock) -> None:
         self._tuning, self._block = tuning, block
         self._guard_programs = guard_programs(configuration)
+        self._of_latest_t = configuration.cnc.tells_prepared_tool and tuning.tool_variable == LATEST_T
+        """Call and polls tell the latest T word, so that they agree about a tool that is only prepared."""
+        self.known_tool: int | None = None
+        """In the spindle; None where that is not known."""
         self._text, self._text_problem = 0, ""
         try:
             self._text = speed_text_number(configuration)
@@ -86,7 +91,7 @@ class SpeedCalls:
                 f"{operation.made_for} is over: the control is in reset in O{sample.program}; waiting for a call"
             )
         if self._over or sample.tool_number == operation.called.tool_number:
-            return self._over
+            return self._over or self._prepared(operation.called.tool_number)
         return f"T{sample.tool_number} is in the spindle, and {operation.made_for} is under way"
 
     def _taken_up(self, found: MacroValues, now_s: float, sample: CncSample) -> bool:
@@ -140,4 +145,13 @@ class SpeedCalls:
                 f"{sample.tool_number}: call after the tool change and before the next tool is prepared, or set "
                 "spindle_speed.tool_variable"
             )
-        return ""
+        return self._prepared(sample.tool_number)
+
+    def _prepared(self, tool_number: int) -> str:
+        """Return why the latest T word may not be the tool in the spindle, '' when it is."""
+        if not self._of_latest_t or tool_number == self.known_tool:
+            return ""
+        return (
+            f"T{tool_number} is the latest T word, which may only prepare a tool: let the program name the one in the "
+            "spindle by the handshake before it calls, or set spindle_speed.tool_variable and cnc.focas.tool_macro"
+        )

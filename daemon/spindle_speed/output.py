@@ -62,10 +62,10 @@ class SpindleSpeedOutput:
             time = temperatures.trace.cleansed or temperatures.trace.last_byte
             self.follower.worker.take(time.monotonic_s, temperatures.believed_degc, temperatures.doubted)
 
-    async def serve(self, session: CncSession | None, phase: Phase, sample: CncSample | None) -> None:
+    async def serve(self, session: CncSession | None, phase: Phase, sample: CncSample | None, tool: int | None) -> None:
         """Read the operation when it is time, decide, and write what is due; `sample` is the latest poll."""
         if self.follower is not None:
-            await self.follower.follow(session, phase, sample)
+            await self.follower.follow(session, phase, sample, tool)
 
     def turn(self, *, on: bool, person: str) -> str:
         """Switch the tuning on, as the temperatures are, or off; return why that is refused, '' when it is taken."""

@@ -103,7 +103,10 @@ class Follower:
         """Why nothing may be decided or written, '' when it may."""
         self._unreadable: tuple[CncSession, str] | None = None
 
-    async def follow(self, session: CncSession | None, phase: Phase, sample: CncSample | None) -> None:
+    async def follow(
+        self, session: CncSession | None, phase: Phase, sample: CncSample | None, known_tool: int | None
+    ) -> None:
+        """Take a poll, and which tool is known to be in the spindle, None where that is not known."""
         if session is None or session.sample is None or sample is None:
             self._inhibit(NO_LINK)
             return
@@ -122,6 +125,7 @@ class Follower:
         self._found = found
         clock_s = sample.clock_s + (now_s - sample.time.monotonic_s)
         self._inhibit(self._judged(session, found, clock_s, now_s))
+        self._calls.known_tool = known_tool
         self._take_call(found, now_s, sample)
         operation = self._calls.under_way
         if operation is not None:

@@ -74,7 +74,7 @@ async def test_of_a_speed_that_may_be_the_next_tool_s_it_says_so(tmp_path, macro
     cnc = configuration.cnc.model_copy(update={"focas": FocasConfig(host="127.0.0.1", tool_macro=macro)})
     findings = preflight(configuration.model_copy(update={"cnc": cnc}), SystemClock(), devices=False)
     details = [finding.detail async for finding in findings if finding.subject == "tool of the spindle speed"]
-    assert ["takes that one's speed" in detail for detail in details] == [True] * told
+    assert ["no speed is tuned until the program has named" in detail for detail in details] == [True] * told
 
 
 async def test_a_line_whose_port_is_missing_is_named_once() -> None:

@@ -4,9 +4,11 @@ from pathlib import Path
 from typing import Any
 
 from control_rig import running
+from nc_requests import TOOL_CHANGE, ask
 from speed_machine import CASE
 from speed_rig import CUT, SAFE, SpeedRig, turned
 
+from config.schema.cnc_drivers import FocasConfig
 from config.schema.spindle_speed import SpeedOperationConfig
 from daemon.monitor.commands import CommandDesk
 from drivers.guard.speed_text import SpeedStatus
@@ -44,6 +46,33 @@ async def test_a_tool_that_is_got_ready_lends_its_pair_to_none_in_the_spindle(be
     assert "T2 is in the spindle" in bench.picture()["reason"]
     bench.nc.tool_number = 1  # what #4120 says when T1 is prepared while T2 cuts
     assert bench.call() == (*PROGRAMMED, DISABLED)
+
+
+async def test_where_the_latest_t_word_alone_is_told_no_speed_is_given_until_the_program_has_named_its_tool(
+    tmp_path: Path,
+) -> None:
+    """Call and polls both said T1 while T1 was prepared and T2 cut, which then took the speed of T1."""
+    bench = SpeedRig(tmp_path)
+    cnc = bench.configuration.cnc.model_copy(update={"focas": FocasConfig(host="192.168.10.20")})
+    bench.configuration = bench.configuration.model_copy(update={"cnc": cnc})
+    async with running(bench.new_rig()) as rig:
+        await rig.turn()
+        assert await bench.operation() == (*PROGRAMMED, DISABLED)
+        assert "T1 is the latest T word, which may only prepare a tool" in bench.picture()["alarm"]
+        ask(bench, 1, TOOL_CHANGE, 0, 1.0)
+        await bench.pass_by(3.0, SAFE)
+        assert (await bench.operation())[2] is APPLIED
+        for counter, prepared in (
+            (None, 2),
+            (2, 2),
+            (None, 1),
+        ):  # T2 is prepared, comes and is named; so is T1 prepared
+            bench.nc.tool_number = prepared
+            if counter is not None:
+                ask(bench, counter, TOOL_CHANGE, 0, 2.0)
+            await bench.pass_by(3.0, CUT)
+        assert bench.call() == (*PROGRAMMED, DISABLED)
+        assert await bench.operation() == (*PROGRAMMED, DISABLED)
 
 
 # --- another program -------------------------------------------------------------------------
