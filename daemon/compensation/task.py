@@ -167,8 +167,7 @@ class ControlTask:
         self._parts.on_tick()
 
     async def _serve_clients(self) -> None:
-        tool = self._measured.tool
-        known = None if tool.in_question else tool.number
+        known = None if (tool := self._measured.tool).in_question else tool.number
         for client in self._parts.macro_clients:
             await client.serve(self.session, self.phase, self._references.sample, known)
 
