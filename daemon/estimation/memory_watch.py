@@ -12,6 +12,8 @@ from models.cleanse import IndexArray
 from models.records import FloatArray
 from models.standing_input import StandingInput, renewed_input
 
+LATEST = 8
+"""So many positionings are known."""
 KEPT_PERIOD_S = 600.0
 """How often what inputs say is kept for a restart, beside when one is found or goes on [s]."""
 
@@ -28,16 +30,18 @@ class MemoryWatch:
         self.kept = InputsRead(inputs={})
         self._kept_s = -np.inf
         self._found: frozenset[str] = frozenset()
-        self._positioned_s = self._refused_s = -np.inf
-        self._of_refused: tuple[str, ...] = ()
+        self._positioned_s = -np.inf
+        self._at_positionings: dict[float, tuple[str, ...]] = {}
+        """What stood at the latest ones [s]: those after it may be refused, one after the other."""
 
     def positioned(self, at_s: float, *, anew: bool) -> None:
         """Know when the work was positioned [s]; not `anew`: what counted before a restart or a refusal does again."""
         at_reference = self.kept.at_reference
+        before = {**self._at_positionings, self._positioned_s: at_reference}
         if anew:
-            self._refused_s, self._of_refused, at_reference = self._positioned_s, at_reference, ()
-        elif abs(at_s - self._refused_s) < 1.0:
-            at_reference = self._of_refused
+            self._at_positionings, at_reference = dict([*before.items()][-LATEST:]), ()
+        elif known := [of for then_s, of in before.items() if abs(at_s - then_s) < 1.0]:
+            at_reference = known[-1]
         self._positioned_s = at_s
         if at_reference != self.kept.at_reference:
             self.kept = replace(self.kept, at_reference=at_reference)

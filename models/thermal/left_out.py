@@ -34,11 +34,11 @@ class LeftOut:
 
     def coefficients(self, excluded: tuple[int, ...]) -> FloatArray:
         """Return the coefficients of the features without some sensors, kept at hand, shape (d, n_channels)."""
-        if excluded not in self._coefficients:
+        if (found := self._coefficients.get(excluded)) is None:
             if len(self._coefficients) >= MOST_EXCLUSIONS_KEPT:
                 self._coefficients.clear()
-            self._coefficients[excluded] = self.model.coefficients(excluded, self.beside)
-        return self._coefficients[excluded]
+            found = self._coefficients[excluded] = self.model.coefficients(excluded, self.beside)
+        return found
 
     def distance(self, change: FloatArray, excluded: tuple[int, ...]) -> tuple[float, float, FloatArray]:
         """Return how far the features have gone, how much of that training says nothing of, and what is in doubt.

@@ -26,10 +26,15 @@ async def warming(task: Task, minutes: float, stands: Callable[[float], bool], b
         await task.cycle("column", 20.0 + scatter)
 
 
-@pytest.mark.parametrize(("before_min", "restarts"), [(4.0, False), (2.0, True), (0.0, False), (0.0, True)])
+@pytest.mark.parametrize(
+    ("before_min", "then"),
+    [(4.0, ""), (2.0, "restarts"), (0.0, ""), (0.0, "restarts"), (4.0, "two are refused"), (0.0, "two are refused")],
+)
 def test_what_stood_when_the_work_was_positioned_holds_until_it_is_positioned_again(
-    tmp_path: Path, before_min: float, restarts: bool
+    tmp_path: Path, before_min: float, then: str
 ) -> None:
+    """After two references that were refused one after the other the one before them had forgotten it."""
+
     def stands(now_min: float) -> bool:
         return -before_min <= now_min < ENDS_MIN if before_min else False
 
@@ -39,7 +44,12 @@ def test_what_stood_when_the_work_was_positioned_holds_until_it_is_positioned_ag
         await warming(task, 40.0, stands, -40.0)
         await task.ask()
         await warming(task, JUDGED_MIN - 6.0, stands, 0.0)
-        if restarts:
+        if then == "two are refused":
+            await task.ask("refused")
+            task.clock.monotonic_s += 2.0
+            await task.ask("refused too")
+            await task.task._take(task.taken_up(task.references[0]))
+        if then == "restarts":
             said, reference, sensors = task.said, task.references[-1], task.sensors  # type: ignore[attr-defined]
             task = task.restarted(model())
             task.said, task.sensors = said, sensors  # type: ignore[attr-defined]

@@ -1,5 +1,7 @@
 """What each sensor adds to an estimate: together with drift it is the estimate, and nothing without a reference."""
 
+from typing import Any
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -7,6 +9,7 @@ from hypothesis.extra.numpy import arrays
 from small_model import model
 
 from models.thermal.estimation import Machine, OnlineReference
+from models.thermal.left_out import LeftOut
 
 MODEL = model()
 SENSORS = len(MODEL.sensor_ids)
@@ -43,3 +46,18 @@ def test_a_sensor_that_does_not_count_adds_nothing():
     absent[0] = True
     online.estimate(1.0, now, absent)
     assert not online.contributions_um()()[0].any()
+
+
+class EmptiedMeanwhile(dict[tuple[int, ...], Any]):
+    """What is kept at hand, which another thread empties as soon as anything is in it."""
+
+    def __setitem__(self, key: tuple[int, ...], value: Any) -> None:
+        super().__setitem__(key, value)
+        self.clear()
+
+
+def test_coefficients_that_another_thread_lets_go_meanwhile_are_told_all_the_same():
+    """The monitor asks for contributions while the thermal task estimates: the estimate of that cycle was lost."""
+    left_out = LeftOut(MODEL, None)
+    left_out._coefficients = EmptiedMeanwhile()
+    np.testing.assert_array_equal(left_out.coefficients((0,)), LeftOut(MODEL, None).coefficients((0,)))
