@@ -14,6 +14,7 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
+import config
 from config.files import read_whole
 from config.schema import Configuration
 from config.schema.source_drivers import SourceEntry
@@ -40,6 +41,7 @@ from daemon.history.database import HistoryError, connect_reader, schema_version
 from daemon.model_release.active import released
 
 BACKUP_MODE = 0o640
+SHIPPED = Path(config.__file__).parent
 LEFT_BEHIND_S = 86_400.0
 """No back-up takes so long [s]."""
 
@@ -193,8 +195,20 @@ def _manifest(configuration: Configuration, sources: Sequence[Source], unsigned:
         store_schema=schema_version(),
         active_release=record.number if record is not None else None,
         files=[source.described() for source in sources],
-        left_out=[*LEFT_OUT, *unsigned, *secrets],
+        left_out=[*LEFT_OUT, *unsigned, *secrets, *_of_spindle_speed(configuration)],
     )
+
+
+def _of_spindle_speed(configuration: Configuration) -> Iterator[str]:
+    """Yield key and place of the files from which spindle speeds are planned; those that ship come with the program."""
+    if (tuning := configuration.spindle_speed) is None:
+        return
+    yield f"spindle_speed.thermomechanical_model: {tuning.thermomechanical_model}, with its releases beside it"
+    for index, operation in enumerate(tuning.operations):
+        named = {f"spindles.{axis}": path for axis, path in operation.spindles.items()} | {"case": operation.case}
+        for key, path in named.items():
+            if not path.is_relative_to(SHIPPED):
+                yield f"spindle_speed.operations[{index}].{key}: {path}"
 
 
 def write_archive(partial: Path, manifest: Manifest, sources: Sequence[Source], key: SigningKey | None = None) -> None:

@@ -21,6 +21,7 @@ import pytest
 import yaml
 from control_rig import record_for
 from installation import Installation
+from speed_machine import speed_machine
 
 from config.files import LARGEST_FILE
 from config.loader import load_configuration
@@ -53,7 +54,7 @@ def elsewhere(installation: Installation) -> Path:
 # --- making ----------------------------------------------------------------------------------
 
 
-def test_the_manifest_names_the_secrets_that_are_not_in_it(installation):
+def test_the_manifest_names_the_secrets_and_files_that_are_not_in_it(installation, tmp_path):
     content = yaml.safe_load(installation.config_path.read_text(encoding="utf-8"))
     content["cnc"]["opcua"]["security"] = {
         "user_name": "toolpoint",
@@ -64,6 +65,10 @@ def test_the_manifest_names_the_secrets_that_are_not_in_it(installation):
     }
     database = {"host": "db", "password_file": "/run/credentials/database"}
     content["sinks"] = [{"name": "plant", "driver": "postgresql", "postgresql": database}]
+    tuned = speed_machine(tmp_path)
+    content["spindle_speed"] = json.loads(tuned.spindle_speed.model_dump_json())
+    content["spindle_speed"]["operations"][0]["spindles"]["x"] = "/etc/toolpoint/spindle.yaml"
+    content["cnc"]["macros"]["writable"] = list(tuned.cnc.macros.writable)
     installation.config_path.write_text(yaml.safe_dump(content), encoding="utf-8")
     path = installation.folder / "secured.tar"
     make_backup(load_configuration(installation.config_path), installation.config_path, path)
@@ -71,6 +76,11 @@ def test_the_manifest_names_the_secrets_that_are_not_in_it(installation):
     assert "cnc.opcua.security.password_file: /run/credentials/password" in left_out
     assert "cnc.opcua.security.private_key: /run/credentials/own.pem" in left_out
     assert "sinks[0].postgresql.password_file: /run/credentials/database" in left_out
+    assert left_out[-3:] == [
+        f"spindle_speed.thermomechanical_model: {tmp_path / 'bearings.json'}, with its releases beside it",
+        "spindle_speed.operations[0].spindles.x: /etc/toolpoint/spindle.yaml",
+        f"spindle_speed.operations[0].case: {tmp_path / 'case.yaml'}",
+    ], "a spindle that ships is there with the program"
 
 
 def test_a_backup_beside_a_writing_daemon_holds_all_and_is_proved(installation):

@@ -7,6 +7,7 @@ import click
 
 from daemon.cli.common import FAILED, FILE, config_option, option, read_configuration, refuse, say, write_json
 from daemon.cli.options import json_option
+from models.json_values import printable
 
 
 @click.command()
@@ -117,5 +118,7 @@ def restore(
         say(f"kept     {path}")
     for path in done.left:
         say(f"left     {path}: the machine was commissioned since the back-up; move it away to restore that of then")
+    for each in done.manifest.left_out:
+        say(f"not here {printable(each)}")
     say("put passwords and keys back, start the daemon, compare the macros, then `toolpoint acknowledge`")
     write_json(json_path, {"placed": [str(path) for path in done.placed], "kept": [str(path) for path in done.kept]})
