@@ -232,14 +232,18 @@ def _of_displacements(pieces: Sequence[_Estimated], column: int, axis: str) -> I
         if minute[row] - minute[before] > LONGEST_GAP_MIN or of[row] != of[before]
     ]
     for run in np.split(rows, breaks):
-        if len(run) < LEAST_MIN:
+        if not len(run) or minute[run[-1]] - minute[run[0]] + 1 < LEAST_MIN:
             continue
         _, first, of_place = np.unique(places[run], return_index=True, return_inverse=True)
         zero = run[first[of_place]]
         without_um = own_um[run] - own_um[zero]
         left_um = without_um - (estimated_um[run] - estimated_um[zero])
         with_um = without_um + applied_um[run] - applied_um[zero]
-        for number in range(STEP_MIN, len(run), STEP_MIN):
+        due = minute[run[0]] + STEP_MIN
+        for number in range(len(run)):
+            if minute[run[number]] < due:
+                continue
+            due = minute[run[number]] + STEP_MIN
             if run[number] == zero[number]:
                 continue
             yield MeasuredError(

@@ -101,15 +101,20 @@ def recordings_from_history(
     pieces = list(minutes_of_history(configuration, reader, channels, um_per_unit, from_utc_s, to_utc_s))
     axes = tuple(configuration.cnc.axis_positions) if positions else ()
     runs = list(_runs(pieces, sensor_ids, tuple(channels), axes))
-    found = [run for run in runs if run.rows >= LEAST_MIN]
+    found = [run for run in runs if _lasted_min(run) >= LEAST_MIN]
     if not found:
-        longest = max((run.rows for run in runs), default=0)
+        longest = max(map(_lasted_min, runs), default=0)
         raise DatasetError(
             f"the history has no {LEAST_MIN} minutes in a row with displacements of {', '.join(channels)}, "
             f"{longest} at most; leave the sensors in place for longer{_why_unknown(configuration, channels)}"
             f"{what_is_left_out(reader, from_utc_s)}"
         )
     return found
+
+
+def _lasted_min(recording: Recording) -> int:
+    """Return from which to which minute it goes, however often was measured [min]."""
+    return round(float(recording.time_s[-1]) / MINUTE_S) + 1
 
 
 def _as_read_now_since_utc_s(reader: HistoryReader) -> float:

@@ -21,6 +21,7 @@ from daemon.history.layout import MachineLayout
 from daemon.history.reader import HistoryReader
 from daemon.history.writer import HistoryWriter
 from daemon.model_release.model_errors import MeasuredError, measured_errors
+from daemon.model_release.past_recordings import recordings_from_history
 from daemon.sinks.alarms.observing import worn_models
 from models.records import ProbeSample
 
@@ -128,7 +129,14 @@ def measured_machine(folder: Path) -> Configuration:
 
 
 def fill_displacements(
-    configuration: Configuration, start_s: float, days, share_left, *, minutes: int = 131, references: int = 1
+    configuration: Configuration,
+    start_s: float,
+    days,
+    share_left,
+    *,
+    minutes: int = 131,
+    every: int = 1,
+    references: int = 1,
 ) -> None:
     """A warm-up on each day: Z1 grows to 20 um, the model takes its part away and the guard applies it."""
     clock = make.StillClock(start_s)
@@ -137,7 +145,7 @@ def fill_displacements(
     writer.start()
     echo = configuration.cnc.macros.echo_applied["z"]
     for day in days:
-        for minute in range(minutes):
+        for minute in range(0, minutes, every):
             now_s = start_s + DAY_S * day + 60.0 * minute
             clock.utc_s = now_s
             error_um = 5.0 + 20.0 * (1.0 - np.exp(-minute / 40.0))
@@ -159,9 +167,13 @@ def fill_displacements(
     writer.close()
 
 
-def test_displacements_say_what_the_model_left_since_they_began(tmp_path: Path) -> None:
+@pytest.mark.parametrize("every", [1, 5])
+def test_displacements_say_what_the_model_left_since_they_began(tmp_path: Path, every: int) -> None:
     configuration = measured_machine(tmp_path)
-    fill_displacements(configuration, make.EPOCH_S, [0], lambda day: 0.2)
+    fill_displacements(configuration, make.EPOCH_S, [0], lambda day: 0.2, every=every)
+    with HistoryReader(configuration.history.path) as reader:
+        (recording,) = recordings_from_history(configuration, reader, UM_PER_UNIT, from_utc_s=0.0, to_utc_s=4e9)
+    assert recording.time_s[-1] == 7800.0 and recording.rows == 130 // every + 1
     found = [each for each in errors_of(configuration) if each.axis == "z"]
     assert len(found) == 13 and {(each.source, each.model_id) for each in found} == {("displacement", "m1")}
     for number, each in enumerate(found, 1):
