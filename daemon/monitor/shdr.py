@@ -149,8 +149,8 @@ def _key(name: str) -> str:
 
 
 def _condition(state: OutputState, alarm: str) -> str:
-    """Return the state of the condition: level, code, severity, qualifier, text."""
+    """Return the state of the condition: level, code (an agent adds another to those that are active), text."""
     if state is not OutputState.FAULT and not alarm:
         return "NORMAL||||"
     level = "FAULT" if state is OutputState.FAULT else "WARNING"
-    return f"{level}|{state.value}|||{_text(alarm) if alarm else state.value}"
+    return f"{level}|OUTPUT|||{_text(alarm) if alarm else state.value}"

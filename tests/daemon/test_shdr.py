@@ -75,8 +75,11 @@ async def test_an_agent_gets_everything_then_what_has_changed_and_its_ping_is_an
             rig.snapshots.control, state=OutputState.FAULT, reason="foreign | value", alarm="look\nat it"
         )
         found = await heard(reader, "output_state", "output_reason", "compensation")
-        assert found["compensation"][1] == "FAULT|FAULT|||look at it"
+        assert found["compensation"][1] == "FAULT|OUTPUT|||look at it"
         assert found["output_reason"][1] == "foreign / value"
+        rig.snapshots.control = replace(rig.snapshots.control, state=OutputState.OFF)
+        found = await heard(reader, "compensation")
+        assert found["compensation"][1] == "WARNING|OUTPUT|||look at it", "under another code the fault stays active"
         writer.write(b"* PING\n")
         assert await asyncio.wait_for(reader.readline(), 20.0) == b"* PONG 10000\n"
         writer.close()
