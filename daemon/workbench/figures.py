@@ -18,8 +18,8 @@ MARK_COLOUR = "#9b4a00"
 MARKS_PIXELS = 28
 """The words of marks stand in two rows above the axes, and the title above them."""
 TITLE_PIXELS = 26
-LABEL_PIXELS = 20
-"""A label stands below the axes, on a narrow page each in its own line: beside them it took half of their width."""
+LABEL_PIXELS = 12
+"""A label stands below the axes, on a narrow page two in a line: beside them it took half of their width."""
 MOST_IN_WORDS = 110
 """Of marks so many letters are written: of more every second, third ... word."""
 FILL_OPACITY = 0.14
@@ -271,7 +271,7 @@ def _plotly(figure: Figure) -> Any:
     title = {} if figure.number else {"title": {"text": figure.title, "yref": "container", "y": 1.0, "pad": {"t": 12}}}
     labels = {curve.label for axes in figure.axes for curve in axes.curves} - {""}
     top = 50 + (TITLE_PIXELS if title else 0) + (MARKS_PIXELS if marked else 0)
-    bottom = 60 + LABEL_PIXELS * len(labels)
+    bottom = 70 + LABEL_PIXELS * len(labels)
     drawn.update_layout(height=top + sum(pixels) + bottom - 80, template="plotly_white", **title)
     drawn.update_layout(margin={"t": top, "b": bottom, "l": 60, "r": 20})
     drawn.update_layout(legend={"orientation": "h", "yref": "container", "y": 0.0, "yanchor": "bottom", "x": 0.0})

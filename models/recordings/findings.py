@@ -327,6 +327,8 @@ def _columns(recording: Recording, read: Recording, *, alone: bool) -> Iterator[
             "speed_unit (krpm, 1/s or rad/s) in the map; where it is right, or no speed, take `speed` out of the map"
         )
         yield _error("spindle speed", None, sentence)
+    elif read.speed_rpm is not None:
+        yield from _missing("spindle speed", read.speed_rpm, recording.rows_before)
     columns = [
         *zip(recording.temperature_names, recording.temperatures_degc.T, read.temperatures_degc.T, strict=True),
         *zip(recording.displacement_names, recording.displacements_um.T, read.displacements_um.T, strict=True),
@@ -343,16 +345,21 @@ def _columns(recording: Recording, read: Recording, *, alone: bool) -> Iterator[
         if not len(column) or missing.all():
             yield _error(name, None, "no value at all; take the column out of the map, or leave this recording out")
             continue
-        empty = ~np.isfinite(as_read)
-        if empty.any():
-            row = recording.rows_before + int(np.argmax(empty)) + 1
-            many = f"{empty.sum()} values are missing, the first here; rows without them are left out"
-            one = "1 value is missing, here; the row without it is left out"
-            yield replace(_warning(name, row, one if empty.sum() == 1 else many), missing=int(empty.sum()))
+        yield from _missing(name, as_read, recording.rows_before)
         known = column[~missing]
         if len(known) > 2 and known.min() == known.max():
             sentence = f"constant at {known[0]:g} over the whole recording; is the sensor connected?"
             yield _warning(name, None, sentence)
+
+
+def _missing(name: str, as_read: FloatArray, rows_before: int) -> Iterator[Finding]:
+    """Yield how many values of a column the file does not have."""
+    empty = ~np.isfinite(as_read)
+    if empty.any():
+        many = f"{empty.sum()} values are missing, the first here; rows without them are left out"
+        one = "1 value is missing, here; the row without it is left out"
+        said = _warning(name, rows_before + int(np.argmax(empty)) + 1, one if empty.sum() == 1 else many)
+        yield replace(said, missing=int(empty.sum()))
 
 
 def _temperature_units(recording: Recording) -> Iterator[Finding]:

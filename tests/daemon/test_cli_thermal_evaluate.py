@@ -330,4 +330,15 @@ def test_sensors_are_compared_on_what_is_left_out(recording: Path, method: str) 
     found = json.loads(result.stdout)
     assert [step["count"] for step in found["selected"]] == [1, 2, 3]
     assert {price["sensor"] for price in found["prices"]} == {"t1", "t2", "t3", "t4"}
-    assert found["folds"] == "cycle"
+    assert found["folds"] == "cycle" and found["warnings"] == []
+
+
+def test_the_comparison_of_sensors_names_those_that_cannot_be_compared(recording: Path, tmp_path: Path) -> None:
+    head, *rows = recording.read_text("utf-8").splitlines()
+    at = head.split(",").index("t2")
+    (path := tmp_path / "dead.csv").write_text(
+        "\n".join([head, *(",".join("20" if i == at else f for i, f in enumerate(r.split(","))) for r in rows)]),
+        "utf-8",
+    )
+    result = CliRunner().invoke(main, ["thermal", "sensors", str(path), "--most", "1"])
+    assert "warning: dead.csv: column t2: constant at 20 over the whole recording" in result.stderr, "it said nothing"

@@ -86,6 +86,9 @@ def test_a_temperature_that_goes_away_for_a_few_rows_counts_as_missing(count: in
 
 def test_missing_values_are_a_warning_that_names_column_and_row() -> None:
     assert "column t2, row 5: 3 values are missing" in sentences(spoilt("temperatures_degc", 1, slice(4, 7), np.nan))
+    good = recording()
+    rpm = np.where(np.arange(good.rows) < 40, good.speed_rpm, np.nan)
+    assert "column spindle speed, row 41: 20 values are missing" in sentences(replace(good, speed_rpm=rpm))
 
 
 def test_displacements_apart_from_all_others_count_as_missing_and_what_passes_through_does_not() -> None:

@@ -76,6 +76,16 @@ def test_a_machine_that_is_probed_now_and_then_is_learned() -> None:
     assert found["refused"] is None
 
 
+def test_channels_that_are_never_measured_in_one_row_are_to_be_taken_one_at_a_time() -> None:
+    """Record longer, it said, which does not help."""
+    whole = [run(number) for number in range(3)]
+    rows = np.arange(60 * HOURS)
+    probed = [np.where((rows % 20 == at)[:, None], whole[0].displacements_um, np.nan) for at in (0, 10)]
+    both = [replace(one, displacement_names=("Y", "Z"), displacements_um=np.hstack(probed)) for one in whole]
+    with pytest.raises(DatasetError, match="measured in different rows: name one at a time under displacements"):
+        train_family(both, "ridge", sample_s=60.0, created="", progress=lambda *_: None)
+
+
 def test_rows_in_which_nothing_was_measured_are_no_hole_and_the_rows_of_another_fold_are_one() -> None:
     inputs = build_inputs([run(1, 20)], sample_s=60.0)
     rows = inputs.trainable()

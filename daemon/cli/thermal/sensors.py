@@ -41,15 +41,18 @@ def sensors(
 
     recording_map = None if map_path is None else load_recording_map(map_path)
     with ProgressBar() as bar:
-        read, _ = read_recordings(recordings, recording_map, bar.show)
+        read, warnings = read_recordings(recordings, recording_map, bar.show)
         sample_s = 60.0 if recording_map is None else recording_map.sample_s
         found = compare_sensors(read, sample_s, hours, method, most)  # type: ignore[arg-type]
+    found["warnings"] = list(warnings)
     _show(found)
     write_json(json_path, found)
 
 
 def _show(found: dict[str, Any]) -> None:
     """Write the comparison for people, on standard error."""
+    for warning in found["warnings"][:10]:
+        say(f"warning: {warning}")
     for name, why in found["temperatures_left_out"].items():
         say(f"temperature {name} is left out: {why}")
     say(f"all sensors: {found['all_sensors']:.1%} of the error remains ({found['folds']}s left out)")

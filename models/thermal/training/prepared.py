@@ -88,7 +88,11 @@ def require_rows(inputs: Inputs, wanted: BoolArray, rows: BoolArray, *, fewest: 
     if inputs.speed_missing[wanted].any():
         complaints.append(f"spindle speed misses {inputs.speed_missing[wanted].mean():.0%}")
     because = f" ({', '.join(complaints)})" if complaints else ""
+    known = np.isfinite(inputs.measured_um[wanted])
+    advice = "record longer, or take incomplete columns out of the map"
+    if 2 * known.all(axis=1).sum() < known.sum(axis=0).min():
+        advice = "the channels were measured in different rows: name one at a time under displacements in the map"
     raise DatasetError(
         f"{', '.join(inputs.recording_names)}: of {int(wanted.sum())} training rows {int(rows.sum())} are complete, "
-        f"for {inputs.layout.sensors} temperatures{because}; record longer, or take incomplete columns out of the map"
+        f"for {inputs.layout.sensors} temperatures{because}; {advice}"
     )
