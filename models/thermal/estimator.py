@@ -253,6 +253,10 @@ class LinearEstimator:
             speed_unread_um=unread_um,
         )
 
+    def level_um(self, state: ModelState, reference: ModelState, uncertainty_k: FloatArray) -> float:
+        """Return by how much the thermal error may be wrong if levels are by so much [K], see `LeftOut.level_um`."""
+        return self.left_out.level_um(uncertainty_k, excluded_sensors(state, reference))
+
     def _ids(self, indices: npt.NDArray[np.intp]) -> tuple[int, ...]:
         return tuple(self.model.sensor_ids[index] for index in indices)
 

@@ -16,7 +16,7 @@ import numpy as np
 from models.model_file import ModelError, Numbers, Packed, file_text, record_of
 from models.records import FloatArray
 from models.thermal.estimation import Estimation, Machine
-from models.thermal.estimator import LinearEstimator
+from models.thermal.estimator import LinearEstimator, excluded_sensors
 from models.thermal.features import IntArray, design_columns
 from models.thermal.known_history import ModelState
 from models.thermal.linear import LinearModel, LinearOnline
@@ -233,6 +233,24 @@ class GaussianEstimator(LinearEstimator):
         linear_um = found.thermal_error_um[None]
         bent_um = mixture.bent_um(model.solutions, both[:1], both[1], linear_um, far_um[None])
         return replace(found, thermal_error_um=bent_um[0])
+
+    def level_um(self, state: ModelState, reference: ModelState, uncertainty_k: FloatArray) -> float:
+        """Return by how much the thermal error may be wrong if levels are by so much [K], with what bends there."""
+        straight_um = super().level_um(state, reference, uncertainty_k)
+        if not uncertainty_k.any():
+            return straight_um
+        assert isinstance(self.model, GaussianModel)
+        model, layout, out = self.model, self.model.layout, excluded_sensors(state, reference)
+        now, then = self.features(state), self.features(reference)
+        following = np.tril(np.ones((len(layout.lags_min) + 1,) * 2))  # a lag follows its temperature later
+        off = np.zeros((len(following), layout.columns))
+        off[:, : layout.temperature_columns] = np.kron(following, uncertainty_k)
+        rows = np.vstack([now, now + off, now - off])
+        far, mixture = self._of(model, out)
+        both = self.left_out.imputed(np.vstack([rows, then]) - model.centre, out)
+        linear_um, far_um = (rows - then) @ self.left_out.coefficients(out), (rows - then) @ far
+        found_um = mixture.bent_um(model.solutions, both[:-1], both[-1], linear_um, far_um)
+        return max(straight_um, float(np.abs(found_um[1:] - found_um[0]).max()))
 
 
 def gaussian_model(content: bytes) -> GaussianModel:

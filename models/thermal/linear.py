@@ -61,7 +61,6 @@ class LinearOnline:
         self._wrong: set[int] = set()
         self._agrees_min: dict[int, float] = {}
         self._speed_rpm = float("nan")
-        self._excluded: tuple[int, ...] = ()
         self._latest: ModelState | None = None
 
     @property
@@ -212,7 +211,6 @@ class LinearOnline:
             state = found[0]
             self._anew |= set(back)
             anew = tuple(self.model.sensor_ids[i] for i in back)
-        self._excluded = excluded_sensors(state, self._reference.state)
         self._latest = state
         estimation = estimate_since(self._estimator, state, self._reference)
         wrong = set(_found_wrong(state))
@@ -224,7 +222,9 @@ class LinearOnline:
 
     def level_um(self, uncertainty_k: FloatArray) -> float:
         """Return by how much the thermal error may be wrong if sensors' levels are wrong by so much [K]."""
-        return self._estimator.left_out.level_um(uncertainty_k, self._excluded)
+        if self._latest is None or self._reference is None:
+            return self._estimator.left_out.level_um(uncertainty_k, ())
+        return self._estimator.level_um(self._latest, self._reference.state, uncertainty_k)
 
     def contributions_um(self) -> Callable[[], FloatArray] | None:
         """Return what works out what each sensor adds to the latest estimate [um], shape (n_sensors, n_channels)."""

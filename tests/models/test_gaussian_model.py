@@ -8,7 +8,7 @@ import pytest
 
 from models.model_file import ModelError
 from models.recordings.dataset import Recording
-from models.thermal.estimation import Machine
+from models.thermal.estimation import Machine, OnlineReference
 from models.thermal.family import model_from_json
 from models.thermal.features import lag_table
 from models.thermal.gaussian import GaussianEstimator, GaussianModel
@@ -157,3 +157,26 @@ def test_a_file_that_cannot_be_right_is_refused(model: GaussianModel) -> None:
         assert refused.value.key == key
     content = json.loads(model.to_json())
     assert content["family"] == "gaussian"
+
+
+def test_a_level_in_doubt_is_worth_what_the_estimate_would_be_off_by_where_it_bends(model: GaussianModel) -> None:
+    """By the linear part alone the output held at 1 um of doubt only where the tool may have been 2.1 um off."""
+    of, none = run(9), np.zeros(SENSORS, dtype=bool)
+    more = []
+    for sensor in range(SENSORS):
+        for by_k in (-1.0, 1.0):
+            found = []
+            for off_k in (0.0, by_k * (np.arange(SENSORS) == sensor)):
+                online = replace(model, watch=None).runtime(Machine(components={}))
+                online.rebuild((float(i), of.temperatures_degc[i], float(of.speed_rpm[i])) for i in range(60))
+                held = of.temperatures_degc[59]
+                online.set_reference(OnlineReference(time_min=59.0, now_min=59.0, degc=held))
+                for row in range(60, 80):
+                    degc = of.temperatures_degc[row] + off_k
+                    online.on_sample(float(row), degc, float(of.speed_rpm[row]))
+                estimation, _ = online.estimate(79.0, degc, none)
+                assert estimation is not None
+                found.append((estimation.thermal_error_um, online.level_um(np.abs(np.zeros(SENSORS) + off_k))))
+            off_um = float(np.abs(found[1][0] - found[0][0]).max())
+            more.append((off_um, found[1][1]))
+    assert all(off_um <= level_um for off_um, level_um in more)
