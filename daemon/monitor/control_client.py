@@ -28,7 +28,7 @@ class ControlClient:
             ) from error
         except OSError as error:
             raise DaemonUnreachableError(
-                f"{path}: no daemon answers ({error.strerror or error}); is it running? `systemctl status toolpoint`"
+                f"{path}: no daemon answers ({error.strerror}); is it running? `systemctl status toolpoint`"
             ) from error
         self._stream = self._socket.makefile("rb")
 

@@ -2,7 +2,6 @@
 
 import asyncio
 import os
-import socket
 import stat
 
 import pytest
@@ -145,13 +144,3 @@ async def test_a_file_that_is_no_socket_is_not_taken_away(tmp_path):
     with pytest.raises(OSError, match="no socket, and stays"):
         await ControlSocket(named, None, None).run()
     assert named.read_text() == "precious"
-
-
-def test_a_daemon_that_takes_nobody_any_more_is_told_in_words(tmp_path):
-    """It hangs, and those who asked before fill its queue: the system gives no reason, the time is over."""
-    with socket.socket(socket.AF_UNIX) as hanging, socket.socket(socket.AF_UNIX) as before:
-        hanging.bind(str(tmp_path / "s"))
-        hanging.listen(0)
-        before.connect(str(tmp_path / "s"))
-        with pytest.raises(DaemonUnreachableError, match=r"no daemon answers \(timed out\); is it running"):
-            ControlClient(tmp_path / "s", timeout_s=0.05)
