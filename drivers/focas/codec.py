@@ -31,6 +31,8 @@ NINE_DIGITS = 999_999_999
 """No control needs to take more of a value that is written; a whole number may have one more."""
 LARGEST_EXPONENT = {2: 62, 10: 18}
 """By base: above it a double cannot hold what the value means."""
+LEAST_EXPONENT = -290
+"""The same of a value that is larger than a mantissa holds."""
 
 
 class FocasFormatError(ValueError):
@@ -205,6 +207,8 @@ def parse_values(data: bytes, count: int, first: int = 1) -> list[float | None]:
             values.append(None)
         elif 0 <= exponent <= LARGEST_EXPONENT[base]:
             values.append(mantissa / base**exponent)
+        elif LEAST_EXPONENT <= exponent < 0:
+            values.append(float(mantissa * base**-exponent))
         else:
             raise FocasFormatError(f"value #{first + len(values)} is of exponent {exponent}")
     return values

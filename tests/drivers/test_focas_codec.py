@@ -106,3 +106,5 @@ def test_a_wrong_value_is_told_with_its_macro_variable() -> None:
     asked = macro_asks([502, 503])
     with pytest.raises(FocasFormatError, match=r"#503 is of base 7"):
         macro_values(asked, [Answer(0, values)])
+    huge = struct.pack(">iHh", 123_456_789, 10, -4)  # else a program that writes it ends the link for good
+    assert macro_values(asked, [Answer(0, encode_value(1.0) + huge)]) == {502: 1.0, 503: 1.23456789e12}
