@@ -552,6 +552,25 @@ async def test_a_late_answer_fills_no_other_page_and_a_page_that_failed_is_asked
         await seen.page.unroute("**/api/v1/sensors")
         await expect(main).to_contain_text("Chosen temperatures")
         await expect(main).to_contain_text("No temperature has arrived yet")
+        answer.clear()
+        held: list[Route] = []
+
+        async def first_late(route: Route) -> None:
+            held.append(route)
+            if len(held) == 1:
+                await answer.wait()
+            await route.continue_()
+
+        await seen.page.route("**/api/v1/series*", first_late)
+        unchosen, curves = main.locator("input[type=checkbox]:not(:checked)").first, main.locator("figure .legend .key")
+        before = await curves.count()
+        await unchosen.click()
+        await unchosen.click()
+        await expect(curves).to_have_count(before + 2)
+        async with seen.page.expect_response("**/api/v1/series*"):
+            answer.set()
+        await seen.page.wait_for_timeout(300)
+        assert await curves.count() == before + 2
 
 
 async def log_in(seen: Watched, name: str) -> None:

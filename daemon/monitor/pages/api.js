@@ -42,6 +42,15 @@ export async function act(path, content = {}, method = "POST") {
   }));
 }
 
+// A function that is called with every question; what it returns tells, when the answer is there, whether no newer one was asked.
+export function newest() {
+  let asked = 0;
+  return () => {
+    const mine = ++asked;
+    return () => mine === asked;
+  };
+}
+
 // Series between two instants [UTC s], decimated to `points` by the daemon.
 export function series(names, from, to, points) {
   return ask("series", { name: names, from, to, points });

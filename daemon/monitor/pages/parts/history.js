@@ -2,7 +2,7 @@
 
 import { h, put, prose, choice, buttons, card, table, clock, seconds, signed, per, NONE } from "../dom.js";
 import { RANGES } from "../words.js";
-import { ask } from "../api.js";
+import { ask, newest } from "../api.js";
 
 const OUTCOMES = { verified: ["good", "verified"], differs: ["bad", "differs"], failed: ["bad", "failed"], refused: ["bad", "refused"], intended: ["warn", "not settled"] };
 const LIMIT = 200;
@@ -21,6 +21,7 @@ export async function page(place, context) {
 class History {
   constructor({ live }) {
     this.live = live;
+    this.asking = newest();
     this.range_s = DAY_S;
     this.text = "";
     this.kind = "";
@@ -44,11 +45,12 @@ class History {
   async load() {
     const { status } = this.live;
     if (!status) { setTimeout(() => this.element.isConnected && this.load(), 300); return; }
-    const to = status.time, from = to - this.range_s, during = { from, to, limit: LIMIT };
+    const to = status.time, from = to - this.range_s, during = { from, to, limit: LIMIT }, wanted_still = this.asking();
     try {
       const [past, found] = await Promise.all([
         ask("past-events", { ...during, text: this.text, kind: this.kind }),
         ask("writes", { ...during, reason: this.text || undefined, outcome: this.outcome || undefined })]);
+      if (!wanted_still()) return;
       this.happened.textContent = `${counted(past.events, "event", past.more)}, in the time of this computer (${zone(to)}).`;
       this.choose(past.kinds);
       this.tell(past.events);
@@ -56,7 +58,7 @@ class History {
       this.draw(found.writes);
       this.offer(from, to);
     } catch (error) {
-      this.happened.textContent = this.said.textContent = error.message;
+      if (wanted_still()) this.happened.textContent = this.said.textContent = error.message;
     }
   }
 

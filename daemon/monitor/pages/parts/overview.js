@@ -3,7 +3,7 @@
 import { h, s, put, prose, card, choice, clock, number, signed, um, per, unit, seconds, duration, NONE } from "../dom.js";
 import { STATES, TERMS } from "../words.js";
 import { Chart } from "../charts.js";
-import { ask, act, series } from "../api.js";
+import { ask, act, newest, series } from "../api.js";
 import { remedies } from "../messages.js";
 import { aligned, at, begun, beside, each, held, since } from "../series.js";
 
@@ -252,6 +252,7 @@ class ErrorOverShift {
     this.axis = null;
     this.unit = per(null);
     this.points = 480;
+    this.asking = newest();
     this.asked_ms = -Infinity;
     this.tail = [];
     this.chooser = h("span", {});
@@ -295,11 +296,13 @@ class ErrorOverShift {
 
   async load(status) {
     this.asked_ms = performance.now();
+    const wanted_still = this.asking();
     const to = status.time, from = await begun(to - SHIFT_S, to), { channel, tool_um_per_k: tool } = status.axes[this.axis];
     const labels = Object.keys(tool);
     const names = [`estimated.${channel}`, `applied.${this.axis}`, `band.${channel}`, ...labels.flatMap((label) => [`label.${label}`, `label_reference.${label}`])];
     try {
       const [answers, estimate] = await Promise.all([series(names, from, to, this.points), ask("estimate", { contributions: false })]);
+      if (!wanted_still()) return;
       const [t, estimated, applied, band, ...means] = aligned(answers, names.map((name) => [name, "mean"]), from, to, this.points);
       const of_cnc = held(applied);
       const marks = (estimate.references ?? []).map((reference) => reference.time).filter((time) => time >= from && time <= to);
@@ -318,7 +321,7 @@ class ErrorOverShift {
       this.tail = this.tail.filter(([time]) => time > last);
       this.draw(status);
     } catch (error) {
-      this.chart.note.textContent = error.message;
+      if (wanted_still()) this.chart.note.textContent = error.message;
     }
   }
 

@@ -3,7 +3,7 @@
 import { h, put, buttons, choice, number, duration, clock } from "../dom.js";
 import { RANGES } from "../words.js";
 import { Chart } from "../charts.js";
-import { ask, series } from "../api.js";
+import { ask, newest, series } from "../api.js";
 import { aligned, begun } from "../series.js";
 import { MachineDrawing, title } from "../machine.js";
 
@@ -27,6 +27,7 @@ class Temperatures {
     this.words = "";
     this.range_s = RANGES[1][0];
     this.window = null;
+    this.asking = newest();
     const labelled = [...new Set(this.sensors.map((sensor) => sensor.label).filter(Boolean))].map((label) => `label.${label}`);
     this.labels = labelled;
     this.chosen = labelled.length ? labelled.slice(0, 4) : this.sensors.slice(0, 3).map((sensor) => sensor.name);
@@ -134,11 +135,12 @@ class Temperatures {
   async load() {
     const { status } = this.live;
     if (!status) { setTimeout(() => this.element.isConnected && this.load(), 300); return; }
-    const began = performance.now();
+    const began = performance.now(), wanted_still = this.asking();
     const [from, to] = this.window ?? [await begun(status.time - this.range_s, status.time), status.time];
     const names = this.chosen;
     try {
       const answers = names.length ? await series(names, from, to, POINTS) : {};
+      if (!wanted_still()) return;
       const single = names.length === 1;
       const wanted = single ? [[names[0], "mean"], [names[0], "max"], [names[0], "min"]] : names.map((name) => [name, "mean"]);
       const data = aligned(answers, wanted, from, to, POINTS);
@@ -150,7 +152,7 @@ class Temperatures {
       await new Promise(requestAnimationFrame); // it is on the screen then
       performance.measure(`temperatures ${names.length} over ${Math.round(to - from)} s`, { start: began });
     } catch (error) {
-      this.chart.note.textContent = error.message;
+      if (wanted_still()) this.chart.note.textContent = error.message;
     }
   }
 

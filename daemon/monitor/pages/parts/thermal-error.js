@@ -3,7 +3,7 @@
 import { h, s, put, buttons, choice, card, table, number, signed, um, per, duration, clock, NONE } from "../dom.js";
 import { RANGES } from "../words.js";
 import { Chart } from "../charts.js";
-import { ask, series } from "../api.js";
+import { ask, newest, series } from "../api.js";
 import { aligned, at, begun, beside, bridge, each, held, since } from "../series.js";
 
 const POINTS = 600;
@@ -23,6 +23,7 @@ class ThermalError {
     this.range_s = 28800;
     this.window = null;
     this.channel = null;
+    this.asking = newest();
     const zoom = (from, to) => { this.window = [from, to]; this.load(); };
     this.error = new Chart({ title: "Estimated and measured thermal error", caption: "Since the reference, without what the compensation moved; shaded: the band in which the true error is expected.", unit: "thermal error [µm]", unit_short: "µm", height: 19, least: 1, zoom,
       series: [{ label: "estimated", colour: "--with", width: 2.2 }, { label: "measured", colour: "--without", width: 1.8 }, { label: "", colour: "--with", hidden: true }, { label: "", colour: "--with", hidden: true }], bands: [{ upper: 3, lower: 4, colour: "--band" }] });
@@ -48,8 +49,10 @@ class ThermalError {
   async load() {
     const { status } = this.live;
     if (!status) { setTimeout(() => this.element.isConnected && this.load(), 300); return; }
+    const wanted_still = this.asking();
     try {
       const estimate = await ask("estimate");
+      if (!wanted_still()) return;
       const channels = Object.keys(estimate.channels);
       this.channel ??= channels.includes("Z1") ? "Z1" : channels[0] ?? null;
       if (this.choose.children.length === 0 && channels.length > 1) {
@@ -57,19 +60,20 @@ class ThermalError {
         this.choose.append(choice("Channel", channels.map((name) => [name, axes(name) ? `${name}, axis ${axes(name)}` : name]), this.channel, (name) => { this.channel = name; this.load(); }));
       }
       this.describe(estimate, status);
-      if (this.channel !== null) await this.draw(estimate, status);
+      if (this.channel !== null) await this.draw(estimate, status, wanted_still);
       else this.error.note.textContent = estimate.why || "There is no estimate yet.";
     } catch (error) {
-      this.error.note.textContent = error.message;
+      if (wanted_still()) this.error.note.textContent = error.message;
     }
   }
 
-  async draw(estimate, status) {
+  async draw(estimate, status, wanted_still) {
     const [from, to] = this.window ?? [await begun(status.time - this.range_s, status.time), status.time];
     const { channel } = this;
     const axis = Object.keys(status.axes).find((name) => status.axes[name].channel === channel);
     const names = [`estimated.${channel}`, `measured.${channel}`, `band.${channel}`, ...(axis ? [`applied.${axis}`] : [])];
     const answers = await series(names, from, to, POINTS);
+    if (!wanted_still()) return;
     const [t, estimated, with_applied, band, applied] = aligned(answers, names.map((name) => [name, "mean"]), from, to, POINTS);
     const marks = estimate.references.map((mark) => mark.time).filter((time) => time >= from && time <= to);
     // the displacement sensors see the compensation too: what it moved is taken off
