@@ -372,6 +372,27 @@ def test_a_running_daemon_is_not_restored_over(installation):
     assert state_of(installation.configuration.history.path)["wanted"]["axes"] == {"y": True, "z": True}
 
 
+def test_a_terminal_that_goes_or_a_stop_leaves_neither_half_a_restoration_nor_half_a_backup(installation):
+    """A session over the network that is lost: without its store the daemon would begin an empty one."""
+    path, config, folder = installation.backup(), installation.config_path, installation.folder / "state"
+    known = {each.name for each in folder.iterdir()} | {f"history.sqlite{end}" for end in (".lock", "-wal", "-shm")}
+    for by, broken_off, words in (
+        ("SIGHUP", "restoring._place", ["restore", str(path), "--replace"]),
+        ("SIGTERM", "making.write_archive", ["backup", str(folder / "b.tar")]),
+    ):
+        script = f"""
+import os, signal, sys, time
+from daemon.backup import making, restoring
+{broken_off} = lambda *_: (os.kill(os.getpid(), signal.{by}), time.sleep(60))
+from daemon.cli import main
+main(sys.argv[1:])
+"""
+        done = subprocess.run([sys.executable, "-P", "-c", script, *words, "--config", config], check=False)
+        assert done.returncode == 1
+        assert state_of(installation.configuration.history.path)["wanted"]["axes"] == {"y": True, "z": True}
+        assert {each.name for each in folder.iterdir()} <= known
+
+
 @pytest.mark.parametrize("broken_off", [OSError(28, "No space left on device"), KeyboardInterrupt()])
 def test_half_a_restoration_is_undone(installation, monkeypatch, broken_off):
     path = installation.backup()

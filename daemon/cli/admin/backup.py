@@ -1,5 +1,10 @@
 """`toolpoint backup` and `toolpoint restore`."""
 
+import contextlib
+import signal
+import sys
+import threading
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -8,6 +13,31 @@ import click
 from daemon.cli.common import FAILED, FILE, config_option, option, read_configuration, refuse, say, write_json
 from daemon.cli.options import json_option
 from models.json_values import printable
+
+BREAKING_OFF = (signal.SIGHUP, signal.SIGTERM)
+
+
+@contextlib.contextmanager
+def undone_when_broken_off() -> Iterator[None]:
+    """Let a terminal that goes, or the end of the service, end a command as Ctrl-C does: half of it is undone."""
+
+    def end(*_: object) -> None:
+        for number in BREAKING_OFF:
+            signal.signal(number, signal.SIG_IGN)
+        sys.exit(FAILED)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in BREAKING_OFF}
+    try:
+        for number in BREAKING_OFF:
+            if before[number] is signal.SIG_DFL:  # `nohup` has it ignored
+                signal.signal(number, end)
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @click.command()
@@ -46,7 +76,8 @@ def backup(destination: Path | None, keep: int | None, config_path: Path, json_p
     name = backup_name(configuration.machine, datetime.now(UTC))
     path = destination / name if into_folder else destination
     try:
-        manifest = make_backup(configuration, config_path, path)
+        with undone_when_broken_off():
+            manifest = make_backup(configuration, config_path, path)
         removed = remove_old(destination, configuration.machine, keep, spare=path) if keep is not None else []
     except BackupError as error:
         refuse(str(error), FAILED)
@@ -101,15 +132,16 @@ def restore(
             say(f"{archive}: whole; {manifest.machine}, {manifest.created}, {len(manifest.files)} files")
             write_json(json_path, manifest.model_dump(mode="json"))
             return
-        done = restoring.restore(
-            archive,
-            config_path,
-            person=person_now(),
-            replace=replace,
-            given=Places(**{name: path and path.absolute() for name, path in places.items()}),
-            keep_configuration=keep_configuration,
-            accept_unsigned=accept_unsigned,
-        )
+        with undone_when_broken_off():
+            done = restoring.restore(
+                archive,
+                config_path,
+                person=person_now(),
+                replace=replace,
+                given=Places(**{name: path and path.absolute() for name, path in places.items()}),
+                keep_configuration=keep_configuration,
+                accept_unsigned=accept_unsigned,
+            )
     except BackupError as error:
         refuse(str(error), FAILED)
     for path in done.placed:
