@@ -64,7 +64,7 @@ def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Rec
     place = Place(path)
     with opened(place, "utf-8" if recording_map is None else recording_map.encoding) as lines:
         header, delimiter = header_of(place, lines)
-        require_names(place, header, lines)
+        rest = require_names(place, header, lines)
         try:
             recording_map = recording_map or usual_map(header)
             columns = resolve_columns(recording_map, header)
@@ -73,9 +73,9 @@ def read_recording(path: Path, recording_map: RecordingMap | None = None) -> Rec
         if hint := encoding_hint(header):
             raise place.refuse(f"the names of the columns are garbled{hint}")
         if recording_map.unit_row:
-            _require_row_of_units(place, next(lines, ""), header, delimiter, recording_map)
+            _require_row_of_units(place, next(rest, ""), header, delimiter, recording_map)
         form = _Form(header=header, delimiter=delimiter, columns=columns, recording_map=recording_map)
-        time_s, table = _rows(place, lines, form)
+        time_s, table = _rows(place, rest, form)
     first_temperature = 0 if columns.speed is None else 1
     inputs = [*columns.temperatures, *columns.axis_positions]
     first_displacement = first_temperature + len(inputs)

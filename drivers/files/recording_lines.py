@@ -2,7 +2,7 @@
 
 import csv
 from collections.abc import Iterator, Sequence
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 
 from drivers.contract import FatalDriverError
@@ -57,9 +57,9 @@ def read_beginning(path: Path, rows: int, encoding: str = "utf-8") -> tuple[list
     place = Place(path)
     with opened(place, encoding) as lines:
         header, delimiter = header_of(place, lines)
-        require_names(place, header, lines)
         first = place.line + 1
-        reader = csv.reader((line for line in lines if line.strip()), delimiter=delimiter)
+        rest = require_names(place, header, lines)
+        reader = csv.reader((line for line in rest if line.strip()), delimiter=delimiter)
         try:
             found = [[text.strip() for text in fields] for fields in islice(reader, rows)]
         except csv.Error as error:
@@ -137,21 +137,20 @@ def header_of(place: Place, lines: Iterator[str]) -> tuple[list[str], str]:
     return names, delimiter
 
 
-def require_names(place: Place, header: list[str], lines: Iterator[str]) -> None:
-    """Refuse a first line that cannot be the header, naming the line that seems to be it."""
+def require_names(place: Place, header: list[str], lines: Iterator[str]) -> Iterator[str]:
+    """Return the lines after the header; refuses one that cannot be it, naming the line that seems to be it."""
     if len([name for name in header if name]) >= FEWEST_COLUMNS:
-        return
+        return lines
     first, text = place.line, next((name for name in header if name), "")
-    counts = [
-        len([field for field in line.split(max(DELIMITERS, key=line.count)) if field.strip()])
-        for line in islice(lines, MOST_BEFORE_HEADER)
-    ]
+    ahead = list(islice(lines, MOST_BEFORE_HEADER))
+    counts = [len([field for field in line.split(max(DELIMITERS, key=line.count)) if field.strip()]) for line in ahead]
     if max(counts, default=0) >= FEWEST_COLUMNS:
         found, place.line = first + 1 + counts.index(max(counts)), first
         raise place.refuse(
             f"{text[:40]!r} does not look like the names of the columns; where line {found} holds them, take out "
             f"the lines before it, or begin each with {METADATA_MARK}"
         )
+    return chain(ahead, lines)
 
 
 def second_header(header: Sequence[str], row: Sequence[str]) -> str | None:

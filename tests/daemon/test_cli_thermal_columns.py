@@ -105,6 +105,9 @@ def test_a_time_of_a_usual_name_that_is_no_number_makes_a_map(tmp_path: Path, cl
     (path := tmp_path / "day.csv").write_text("\n".join(["time,T1,Z1_um", *rows]) + "\n", encoding="utf-8")
     proposed = thermal("train", path, "-o", tmp_path / "model.json")
     assert "time: time" in proposed.stdout and "or take it as it is with --map-out" in proposed.stderr
+    (half := tmp_path / "half.csv").write_text("time_s,dz [um]\n0,1\n", encoding="utf-8")
+    lacking = thermal("train", half, "-o", tmp_path / "m.json").stderr
+    assert "none seems to be its temperatures; where another file holds these, join the two by time first" in lacking
     (bare := tmp_path / "bare.csv").write_text("time,T1,Z1_um\n", encoding="utf-8")
     assert thermal("train", bare, "-o", tmp_path / "m.json").stderr == f"{bare}: holds no rows after its header\n"
     refused = thermal("evaluate", path, "--leave-out-cycles")

@@ -90,6 +90,21 @@ def test_an_empty_field_where_the_spindle_starts_costs_neither_the_advice_nor_th
     assert drawn.startswith("null,0.0,") and drawn.count("null") == 2
 
 
+@pytest.mark.parametrize(
+    ("channel", "axis"), [("Weg Z [µm]", "Z"), ("dX", "X"), ("A1", "A"), ("Channel 1", None), ("Bending", None)]
+)
+def test_a_channel_is_of_the_axis_whose_letter_stands_in_its_name(
+    recording: Path, tmp_path: Path, channel: str, axis: str | None
+) -> None:
+    text = recording.read_text("utf-8").replace(",Z1,Y1,", f",{channel},e [um],")
+    (path := tmp_path / "day.csv").write_text(text, encoding="utf-8")
+    (columns := tmp_path / "map.yaml").write_text(
+        f"time: t\nspeed: rpm\ntemperatures: [T1]\ndisplacements: ['{channel}']\n", encoding="utf-8"
+    )
+    found = report(path, "--map", columns)
+    assert list(found["axes"]) == ([] if axis is None else [axis]), "`Channel 1` was a rotary axis C"
+
+
 def test_a_model_takes_most_of_it_away(recording: Path, tmp_path: Path) -> None:
     training = make_recording(tmp_path / "training.csv", cycles=4)
     model = tmp_path / "model.json"

@@ -203,6 +203,8 @@ def _proposed(recording: Path, map_out: Path | None) -> "RecordingMap | None":
     if map_out is None or found.lacking:
         click.echo(found.yaml(), nl=False)
         lacks = f"none seems to be its {', '.join(found.lacking)}; " if found.lacking else ""
+        if len({"temperatures", "displacements"} & {*found.lacking}) == 1:
+            lacks += "where another file holds these, join the two by time first; "
         as_it_is = "" if found.lacking else ", or take it as it is with --map-out map.yaml"
         refuse(
             f"{recording}: columns without usual names; {lacks}check this map, save it, give it with --map{as_it_is}"

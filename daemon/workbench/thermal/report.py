@@ -1,6 +1,7 @@
 """Report on a recording in the words of ISO 230-3, with and without compensation, as JSON."""
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
@@ -24,7 +25,9 @@ from models.thermal.training.distortion import (
 from models.thermal.training.energy import Process, energy_efficiency, productivity_per_h
 from models.thermal.training.warm_up import fit_warm_up
 
-AXES = frozenset("XYZABC")
+_AXIS = re.compile(r"^([XYZABC])(?![A-Za-z])|(?<![A-Za-z])[dD]?([XYZ])\d*(?![A-Za-z])")
+"""A channel is of the axis that it begins with, or whose letter stands in it by itself: `Z1`, `Weg Z [µm]`; `Channel 1`
+is of none."""
 CONSTANT_SPEED = 0.05
 """A rotation is at constant speed when its speeds differ by less than this share."""
 
@@ -114,7 +117,11 @@ def _channel(
     series: _Series, name: str, turns: Sequence[Stretch], stands: Sequence[Stretch], choices: ReportChoices
 ) -> dict[str, Any]:
     spindle = [_spindle(series, name, stretch, choices) for stretch in turns]
-    found: dict[str, Any] = {"axis": name[0] if name[:1] in AXES else None, "distortion_by_rotating_spindle": spindle}
+    axis = _AXIS.search(name)
+    found: dict[str, Any] = {
+        "axis": None if axis is None else axis[1] or axis[2],
+        "distortion_by_rotating_spindle": spindle,
+    }
     for kind in ("without", "with"):
         ranges = [value_range_um(both[kind]) for both in (series.both(name, s) for s in stands) if kind in both]
         found[f"worst_{kind}"] = {

@@ -52,7 +52,7 @@ def write_report_page(
             Section(rows=_origin(origin, model), kind="facts"),
             *([Section(title="Warnings", items=tuple(report["warnings"]))] if report["warnings"] else []),
             Section(text=introduction),
-            _worst_table("Largest distortion by axis [um]", axes),
+            *([_worst_table("Largest distortion by axis [um]", axes)] if axes else []),
             _worst_table("Largest distortion by channel [um]", report["channels"]),
             Section(title="Rotations", text=stable),
             _rotation_table(report),
