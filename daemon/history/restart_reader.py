@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 from daemon.history.columns.frames import Frame, Kind, concatenate, decode_frame, frame_from_rows
-from daemon.history.columns.joining import in_order, merge_cycles, ms_from_s, texts_of, time_s_of
+from daemon.history.columns.joining import cycle_block, in_order, merge_cycles, ms_from_s, texts_of, time_s_of
 from daemon.history.columns.kinds import CNC, CYCLES, DISPLACEMENTS, KINDS, TEMPERATURES, WRITES
-from daemon.history.columns.packing import cycle_block, id_column
+from daemon.history.columns.packed_hour import id_column
 from daemon.history.columns.temperature_chunks import CycleBlock, decode_temperatures
 from daemon.history.database import HOUR_MS, HistoryError, connect_reader
 from daemon.history.series import CncHistory, TemperatureHistory, WriteRecord, possible_macros, write_records

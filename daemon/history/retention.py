@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from config.schema.service import HistoryConfig
 from daemon.history.columns.kinds import CNC, CYCLES, DISPLACEMENTS, ESTIMATES, TEMPERATURES, WRITES
-from daemon.history.columns.packing import PackedHour, rows_of_hour, table_of
+from daemon.history.columns.packed_hour import PackedHour, rows_of_hour, table_of
 from daemon.history.database import HOUR_MS
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from typing import Any, Self
 import numpy as np
 
 from daemon.history.columns.frames import Frame, Kind, MappingColumn, decode_frame, frame_from_rows
+from daemon.history.columns.joining import cycle_block
 from daemon.history.columns.kinds import CNC, CYCLES, DISPLACEMENTS, ESTIMATES, KINDS, TEMPERATURES, WRITES
-from daemon.history.columns.packing import cycle_block
 from daemon.history.columns.temperature_chunks import CycleBlock, decode_temperatures
 from daemon.history.cursors import Position, generation
 from daemon.history.reader import HistoryReader

@@ -15,7 +15,8 @@ from tidied_store import housekeeping
 from config.schema.service import HistoryConfig
 from daemon.backup.making import copy_store
 from daemon.history.columns.kinds import CYCLES, KINDS
-from daemon.history.columns.packing import PackedHour, pack_hours
+from daemon.history.columns.packed_hour import PackedHour
+from daemon.history.columns.packing import pack_hours
 from daemon.history.database import HistoryError, connect_reader, connect_writer
 from daemon.history.reader import HistoryReader
 from daemon.history.retention import store_hour

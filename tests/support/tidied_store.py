@@ -6,7 +6,8 @@ from itertools import chain
 from pathlib import Path
 
 from config.schema.service import HistoryConfig
-from daemon.history.columns.packing import PackedHour, missing_extremes, pack_hours, packing_cutoff_ms
+from daemon.history.columns.packed_hour import PackedHour, packing_cutoff_ms
+from daemon.history.columns.packing import missing_extremes, pack_hours
 from daemon.history.database import connect_reader, connect_writer
 from daemon.history.retention import HousekeepingReport, store_hour, tidy
 

@@ -1,10 +1,15 @@
 """Joining what was read from rows and chunks, in order of time."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from daemon.history.columns.codec import FloatArray, IntArray
-from daemon.history.columns.frames import Frame, select_rows
+from daemon.history.columns.frames import Frame, frame_from_rows, select_rows
+from daemon.history.columns.kinds import CYCLES
 from daemon.history.columns.temperature_chunks import CycleBlock
+from daemon.history.rows import FLAG
 from daemon.history.series import NOT_IN_CYCLE, TemperatureHistory
 from models.units import degc_from_int16
 
@@ -70,3 +75,17 @@ def merge_cycles(
         quality=quality[order],
         reason=reason[order],
     )
+
+
+def cycle_block(names: Sequence[str], rows: list[tuple[Any, ...]]) -> CycleBlock:
+    """Return rows of temperature cycles (the named columns, counts, flags) of one layout. At least one is needed."""
+    counts = np.frombuffer(b"".join(row[-2] for row in rows), dtype="<i2").reshape(len(rows), -1)
+    quality = np.zeros(counts.shape, dtype=np.uint8)
+    reason = np.zeros(counts.shape, dtype=np.uint8)
+    for index, row in enumerate(rows):
+        if row[-1] is not None:
+            flags = np.frombuffer(row[-1], dtype=FLAG)
+            quality[index, flags["position"]] = flags["quality"]
+            reason[index, flags["position"]] = flags["reason"]
+    cycles = frame_from_rows(CYCLES, names, [row[:-2] for row in rows])
+    return CycleBlock(cycles=cycles, counts=counts.astype(np.int16), quality=quality, reason=reason)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from config.schema.service import HistoryConfig
-from daemon.history.columns.packing import PackedHour, missing_extremes, pack_hours, packing_cutoff_ms
+from daemon.history.columns.packed_hour import PackedHour, packing_cutoff_ms
 from daemon.history.database import connect_reader
 
 _LENGTH = struct.Struct(">I")
@@ -72,6 +72,8 @@ async def packed_hours(path: Path, config: HistoryConfig, now_utc_s: float) -> A
 
 def main() -> None:
     """Pack; called in the packing process."""
+    from daemon.history.columns.packing import missing_extremes, pack_hours  # noqa: PLC0415 - by that process alone
+
     os.nice(_NICENESS)
     with closing(connect_reader(Path(sys.argv[1]))) as connection:
         for hours in (pack_hours(connection, int(sys.argv[2])), missing_extremes(connection)):

@@ -19,10 +19,11 @@ from daemon.history.columns.frames import (
     encode_frame,
     frame_from_rows,
 )
-from daemon.history.columns.kinds import CYCLES, KINDS, TEMPERATURES, WRITES
+from daemon.history.columns.joining import cycle_block
+from daemon.history.columns.kinds import CYCLES, KINDS, TEMPERATURES
+from daemon.history.columns.packed_hour import PackedHour, rows_of_hour, table_of
 from daemon.history.columns.temperature_chunks import CycleBlock, decode_temperatures, encode_temperatures
 from daemon.history.database import HOUR_MS
-from daemon.history.rows import FLAG
 from models.quality import Quality
 from models.units import degc_from_int16
 
@@ -93,52 +94,6 @@ def decode_extremes(data: bytes) -> Extremes:
     planes = np.frombuffer(reader.rest(), dtype=np.uint8).reshape(4, -1)
     table = np.ascontiguousarray(planes.T).view("<f4").reshape(4, -1)
     return Extremes(names=names, table=table)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PackedHour:
-    """One chunk, and which rows it stands for."""
-
-    kind: str
-    layout_id: int
-    hour_ms: int
-    start_ms: int
-    end_ms: int
-    row_count: int
-    last_id: int
-    data: bytes
-    extremes: bytes
-    chunk_id: int | None = None
-    """An older chunk that only gets its extremes."""
-
-
-def table_of(kind: str) -> tuple[str, str]:
-    if kind == TEMPERATURES:
-        return CYCLES.table, "id"
-    return KINDS[kind].table, id_column(KINDS[kind])
-
-
-def id_column(kind: Kind) -> str:
-    """Return the name of a kind's primary key."""
-    return "write_id" if kind is WRITES else "id"
-
-
-def rows_of_hour(kind: str) -> str:
-    """Return the condition for an hour's rows that may be packed: named parameters hour_ms, layout_id, last_id.
-
-    An intent without an outcome stays a row until it is settled.
-    """
-    condition = f"utc_ms >= :hour_ms AND utc_ms < :hour_ms + {HOUR_MS} AND {table_of(kind)[1]} <= :last_id"
-    if kind == TEMPERATURES:
-        condition += " AND layout_id = :layout_id"
-    if kind == WRITES.name:
-        condition += " AND outcome != 0"
-    return condition
-
-
-def packing_cutoff_ms(now_utc_s: float, pack_after_s: float) -> int:
-    """Return the end of the last whole hour that is old enough."""
-    return int((now_utc_s - pack_after_s) * 1e3) // HOUR_MS * HOUR_MS
 
 
 def pack_hours(connection: sqlite3.Connection, before_ms: int) -> Iterator[PackedHour]:
@@ -241,17 +196,3 @@ def _belated(connection: sqlite3.Connection, kind: str, layout_id: int, data: by
         return frame_extremes(KINDS[kind], decode_frame(KINDS[kind], data))
     (members,) = connection.execute("SELECT members FROM layouts WHERE layout_id = ?", (layout_id,)).fetchone()
     return temperature_extremes(decode_temperatures(data, range(len(json.loads(members))), ("utc_ms",)))
-
-
-def cycle_block(names: Sequence[str], rows: list[tuple[Any, ...]]) -> CycleBlock:
-    """Return rows of temperature cycles (the named columns, counts, flags) of one layout. At least one is needed."""
-    counts = np.frombuffer(b"".join(row[-2] for row in rows), dtype="<i2").reshape(len(rows), -1)
-    quality = np.zeros(counts.shape, dtype=np.uint8)
-    reason = np.zeros(counts.shape, dtype=np.uint8)
-    for index, row in enumerate(rows):
-        if row[-1] is not None:
-            flags = np.frombuffer(row[-1], dtype=FLAG)
-            quality[index, flags["position"]] = flags["quality"]
-            reason[index, flags["position"]] = flags["reason"]
-    cycles = frame_from_rows(CYCLES, names, [row[:-2] for row in rows])
-    return CycleBlock(cycles=cycles, counts=counts.astype(np.int16), quality=quality, reason=reason)
