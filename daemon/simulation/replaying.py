@@ -24,6 +24,7 @@ from drivers.sim.machine.recorded import LEAD_IN_S
 from drivers.sim.nc.safe_point import GUARD_VERSION
 from models.model_file import ModelError
 from models.recordings.dataset import Recording
+from models.recordings.findings import recording_findings
 from models.recordings.plausibility import RISES_FROM_DEGC, are_rises
 from models.records import OutputState
 from models.thermal.family import ThermalModel, model_from_json
@@ -72,6 +73,7 @@ ZERO_DEGC = 0.5 * TMP102_DEGC_PER_LSB
 """A node sends 0 degC for what is nearer to it."""
 FIRST_BLOCK_S = 60.0
 """The mean over so long stands still until the work is positioned [s]."""
+MOST_FINDINGS = 10
 NAMED = 3
 """So many sensors are named in one sentence."""
 LIMITS = {"absolute_bound_um": 200.0, "slew_um_per_min": 20.0, "step_um": 50.0, "deadband_um": 0.0}
@@ -376,6 +378,12 @@ def allowed_change_k(recording: Recording, cycle_s: float) -> tuple[float, str]:
         f"is played with temperatures.cleansing.max_change_degc: {needed_k:g}, and the machine needs that too, or the "
         "output holds because a sensor seems to be at another level"
     )
+
+
+def findings_said(recording: Recording) -> list[str]:
+    """Return what training would say of a recording: values that cannot be, a displacement that jumps, gaps."""
+    found = recording_findings(recording, len(recording.temperature_names) + 1)
+    return [f"{recording.name}: {finding}" for finding in found[:MOST_FINDINGS]]
 
 
 def played_otherwise(whole: Recording, part: Recording) -> list[str]:

@@ -168,7 +168,9 @@ def recorded_simulation(
 ) -> Simulation:
     """Return a machine that plays a part of a recording."""
     try:
-        recording = as_sent(read_recording(path, recording_map))
+        whole = read_recording(path, recording_map)
+        measured_um = whole.without_impossible().displacements_um  # no error of the machine
+        recording = as_sent(replace(whole, displacements_um=measured_um))
         if hours is not None:
             recording = recording.between_hours(*hours)
         followed = tuple(axis.estimate for axis in configuration.compensation.outputs.values() if axis.estimate)

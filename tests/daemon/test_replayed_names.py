@@ -10,8 +10,9 @@ from control_rig import SENSOR_IDS
 from small_model import model
 from whole_loop import lagged_model
 
+from config.recordings.recording_map import RecordingMap
 from daemon.simulation.processes import write_simulation_configuration
-from daemon.simulation.replaying import map_of, modelled, replay_machine
+from daemon.simulation.replaying import findings_said, map_of, modelled, replay_machine
 from daemon.simulation.simulation import recorded_simulation
 from drivers.clock import ScaledClock
 from drivers.files.recording_csv import read_recording, write_recording
@@ -54,6 +55,27 @@ def test_rows_of_five_minutes_are_averaged_as_the_machine_averages_and_not_over_
         path.write_text(made.to_json(), encoding="utf-8")
         machine = replay_machine(slow, path, tmp_path / "record.json")
         assert machine["compensation"]["reference"]["mean_s"] == mean_s
+
+
+def test_a_displacement_that_cannot_be_is_told_and_is_no_error_of_the_machine(tmp_path: Path) -> None:
+    """Three codes for no value made 1000 um of the largest error, without a word."""
+    um = recording().displacements_um[:, 3:].copy()
+    um[[5, 9, 14]] = -999.0
+    one = replace(recording(), displacement_names=("Z1",), displacements_um=um)
+    assert any("-999 um cannot be (3 such values" in sentence for sentence in findings_said(one))
+    machine = replay_machine(one, tmp_path / "model.json", tmp_path / "commissioning.json")
+    _, configuration = write_simulation_configuration(machine, tmp_path, speed=100.0)
+    columns = {name: (v, 1) for name, v in zip(one.temperature_names, one.temperatures_degc.T, strict=True)}
+    write_recording(tmp_path / "day.csv", {}, {"t": (one.time_s, 0), **columns, "Z1": (um[:, 0], 1)})
+    columns_of = RecordingMap(time="t", temperatures=list(columns), displacements=["Z1"])
+    clock = ScaledClock(speed=100.0, epoch_real_s=0.0, epoch_utc_s=0.0)
+    played = recorded_simulation(
+        configuration, clock, tmp_path / "day.csv", recording_map=columns_of, hours=None
+    ).machine
+    assert isinstance(played, RecordedMachine)
+    for second in range(0, int(played.duration_s), 10):
+        played.advance(float(second))
+    assert played.channels()["Z1"]["without"]["max_um"] < 100.0
 
 
 def test_more_sensors_than_one_line_carries_are_played_on_several(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from daemon.simulation.replaying import (
     Following,
     allowed_change_k,
     axis_names,
+    findings_said,
     following,
     map_of,
     modelled,
@@ -84,7 +85,7 @@ def replay(
         hours = from_hours or 0.0, min(to_hours if to_hours is not None else last_h, last_h)
         part = table.between_hours(*hours)
         whole, part = part.displacement_names, modelled(model_path, part)
-        said = played_otherwise(table, part)
+        said = [*findings_said(table), *played_otherwise(table, part)]
         if unplayed := [name for name in whole if name not in part.displacement_names]:
             names = ", ".join(unplayed)
             said.append(f"not played, because the model does not estimate it, or it is a slope [um/m]: {names}")
