@@ -211,6 +211,7 @@ class GaussianEstimator(LinearEstimator):
     def __init__(self, model: LinearParameters, components: Sequence[str] = (), steps_k: Sequence[float] = ()) -> None:
         super().__init__(model, components, steps_k)
         self._latest: tuple[tuple[int, ...], FloatArray, Mixture] | None = None
+        self._steeper: tuple[tuple[int, ...], float, float] | None = None
 
     def _of(self, model: GaussianModel, out: tuple[int, ...]) -> tuple[FloatArray, Mixture]:
         """Return the ridge that counts far out and the mixture, of the latest set of sensors left out."""
@@ -232,25 +233,56 @@ class GaussianEstimator(LinearEstimator):
         both = self.left_out.imputed(np.stack([now, then]) - model.centre, out)
         linear_um = found.thermal_error_um[None]
         bent_um = mixture.bent_um(model.solutions, both[:1], both[1], linear_um, far_um[None])
-        return replace(found, thermal_error_um=bent_um[0])
+        if not out:
+            return replace(found, thermal_error_um=bent_um[0])
+        steeper = self._how_much_steeper(both + model.centre, out, state.time_min)
+        more_um = np.sqrt(steeper**2 - 1.0) * found.imputed_um
+        wider = np.hypot(found.band_factor, more_um / np.maximum(model.band_um, 1e-9))
+        return replace(found, thermal_error_um=bent_um[0], imputed_um=steeper * found.imputed_um, band_factor=wider)
+
+    def _how_much_steeper(self, both: FloatArray, out: tuple[int, ...], time_min: float) -> float:
+        """Return how much more sensors that do not count move the whole model than its linear part, at least 1.
+
+        `both`, shape (2, d): features now and at the reference, with what the sensors `out` are taken for. It is worked
+        out once in a period, at `time_min`.
+        """
+        if self._steeper is None or self._steeper[0] != out or time_min - self._steeper[1] >= self.model.period_min:
+            gone_k = np.isin(np.arange(self.model.layout.sensors), out).astype(np.float64)
+            straight_um, bent_um = self._moved_um(both[0], both[1], gone_k, ())
+            self._steeper = out, time_min, max(1.0, float(bent_um / max(straight_um, 1e-9)))
+        return self._steeper[2]
+
+    def _moved_um(
+        self, now: FloatArray, then: FloatArray, off_k: FloatArray, out: tuple[int, ...]
+    ) -> tuple[float, float]:
+        """Return by how much temperatures that go by so much move the linear part, and the whole estimate [um].
+
+        `now`, `then`, shape (d,): features now and at the reference. `off_k`, shape (n_sensors,): to both sides [K]; a
+        lag follows its temperature later. `out`: indices of the sensors that do not count.
+        """
+        assert isinstance(self.model, GaussianModel)
+        model, layout = self.model, self.model.layout
+        following = np.tril(np.ones((len(layout.lags_min) + 1,) * 2))
+        off = np.zeros((len(following), layout.columns))
+        off[:, : layout.temperature_columns] = np.kron(following, off_k)
+        rows = np.vstack([now, now + off, now - off])
+        if out:
+            far, mixture = self._of(model, out)
+        else:
+            far, mixture = model.solutions[model.mixture.outside].coefficients(), model.mixture
+        both = self.left_out.imputed(np.vstack([rows, then]) - model.centre, out)
+        linear_um, far_um = (rows - then) @ self.left_out.coefficients(out), (rows - then) @ far
+        found_um = mixture.bent_um(model.solutions, both[:-1], both[-1], linear_um, far_um)
+        straight_um, bent_um = (float(np.abs(each[1:] - each[0]).max()) for each in (linear_um, found_um))
+        return straight_um, bent_um
 
     def level_um(self, state: ModelState, reference: ModelState, uncertainty_k: FloatArray) -> float:
         """Return by how much the thermal error may be wrong if levels are by so much [K], with what bends there."""
         straight_um = super().level_um(state, reference, uncertainty_k)
         if not uncertainty_k.any():
             return straight_um
-        assert isinstance(self.model, GaussianModel)
-        model, layout, out = self.model, self.model.layout, excluded_sensors(state, reference)
         now, then = self.features(state), self.features(reference)
-        following = np.tril(np.ones((len(layout.lags_min) + 1,) * 2))  # a lag follows its temperature later
-        off = np.zeros((len(following), layout.columns))
-        off[:, : layout.temperature_columns] = np.kron(following, uncertainty_k)
-        rows = np.vstack([now, now + off, now - off])
-        far, mixture = self._of(model, out)
-        both = self.left_out.imputed(np.vstack([rows, then]) - model.centre, out)
-        linear_um, far_um = (rows - then) @ self.left_out.coefficients(out), (rows - then) @ far
-        found_um = mixture.bent_um(model.solutions, both[:-1], both[-1], linear_um, far_um)
-        return max(straight_um, float(np.abs(found_um[1:] - found_um[0]).max()))
+        return max(straight_um, self._moved_um(now, then, uncertainty_k, excluded_sensors(state, reference))[1])
 
 
 def gaussian_model(content: bytes) -> GaussianModel:
