@@ -13,6 +13,7 @@ from config.schema.temperatures import SensorConfig
 from drivers.guard.programs import guard_text
 from drivers.sim.machine.day import Day
 from drivers.sim.machine.machine import CfrpMachine
+from drivers.sim.nc.custom_macro.control import DEFAULT_MODALS
 from drivers.sim.nc.nc_programs import MACRO_ALARM
 from drivers.sim.nc.program import SAFE, Block, PartProgram
 from drivers.sim.nc.safe_point import SafePointApplication
@@ -78,21 +79,23 @@ def test_a_request_without_an_answer_holds_its_block_until_the_time_is_over(time
     assert not simulated.guard.control.messages
 
 
+@pytest.mark.parametrize("stop", ["message", "stop"])
 @pytest.mark.parametrize("code", [90, 91])
-def test_the_programs_leave_the_modes_as_they_were(code: int) -> None:
-    simulated = machine(flag=True)
+def test_the_programs_leave_the_modes_as_they_were(code: int, stop: str) -> None:
+    """Also where nobody answers and an alarm ends the program: a RESET does not bring them back on every control."""
+    simulated = machine(flag=True, alarm=stop, on_timeout=stop)
     guard, macros = simulated.guard, simulated.nc.macros
     guard.control.modal[3] = code
     for number in (guard.programs.enter, guard.programs.leave, guard.programs.guard):
         assert number is not None
         guard.at(macros, 10.0).run(number)
-        assert guard.control.modal == {3: code, 5: 94, 6: 21, 7: 40, 9: 80}
+        assert guard.control.modal == DEFAULT_MODALS | {3: code}
     assert guard.programs.request is not None
     guard.at(macros, 10.0).start(guard.programs.request, K=1.0)
     guard.at(macros, 10.0).wait()
     while guard.at(macros, 30.0).wait() is not None:
         continue
-    assert guard.control.modal == {3: code, 5: 94, 6: 21, 7: 40, 9: 80}
+    assert guard.control.modal == DEFAULT_MODALS | {3: code}
 
 
 @pytest.mark.parametrize("alarm,expected", [("message", 0), ("stop", MACRO_ALARM + 123)])
