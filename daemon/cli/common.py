@@ -21,9 +21,9 @@ FAILED = 1
 BAD_USAGE = 2
 """Exit status for bad usage or configuration."""
 Command = TypeVar("Command", bound=Callable[..., Any])
-
-
 FILE = click.Path(path_type=Path)
+for kind in (click.FloatRange, click.IntRange):  # what help and refusals call them, for people who write no programs
+    kind.name = "number" if kind is click.FloatRange else "whole number"
 
 
 def option(*names: str, **settings: Any) -> Callable[[Command], Command]:

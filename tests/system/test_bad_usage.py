@@ -111,6 +111,18 @@ def test_binary_files_are_named_as_such(tmp_path):
         load_commissioning(path)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("demo", "--minutes", "5 min"), "'5 min' is not a valid number"),
+        (("history", "--limit", "2.5"), "valid whole number"),
+    ],
+)
+def test_what_is_no_number_is_called_so_and_no_float(arguments: tuple[str, ...], words: str) -> None:
+    refused = CliRunner().invoke(main, arguments)
+    assert refused.exit_code == 2 and words in refused.output
+
+
 def test_an_unknown_command_gets_a_suggestion() -> None:
     refused = CliRunner().invoke(main, ["statsu"])
     assert refused.exit_code == 2 and "No such command 'statsu'; did you mean 'status'?" in refused.output
