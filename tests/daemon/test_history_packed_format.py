@@ -8,25 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from daemon.history.columns.codec import (
-    ByteReader,
-    block,
-    decode_floats,
-    decode_integers,
-    encode_floats,
-    encode_integers,
-)
-from daemon.history.columns.frames import (
-    ColumnType,
-    Kind,
-    concatenate,
-    decode_frame,
-    encode_frame,
-    frame_from_rows,
-    select_rows,
-)
+from daemon.history.columns.codec import ByteReader, decode_floats, decode_integers
+from daemon.history.columns.encoding import block, encode_floats, encode_frame, encode_integers, encode_temperatures
+from daemon.history.columns.frames import ColumnType, Kind, concatenate, decode_frame, frame_from_rows, select_rows
 from daemon.history.columns.kinds import CNC, CYCLES, KINDS
-from daemon.history.columns.temperature_chunks import CycleBlock, decode_temperatures, encode_temperatures
+from daemon.history.columns.temperature_chunks import CycleBlock, decode_temperatures
 
 SOME = settings(max_examples=60, deadline=None)
 INT64 = st.integers(-(2**63), 2**63 - 1)

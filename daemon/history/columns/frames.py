@@ -8,19 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from daemon.history.columns.codec import (
-    ByteReader,
-    FloatArray,
-    IntArray,
-    block,
-    decode_floats,
-    decode_integers,
-    deflate,
-    encode_floats,
-    encode_integers,
-    inflate,
-    varint,
-)
+from daemon.history.columns.codec import ByteReader, FloatArray, IntArray, decode_floats, decode_integers, inflate
 
 FORMAT = 1
 Keys = tuple[str, ...] | None
@@ -143,25 +131,14 @@ def mapping_from_json(texts: Sequence[str | None]) -> MappingColumn:
     codes = {keys: code for code, keys in enumerate(dict.fromkeys(keys_of_row))}
     values = {
         key: np.array([np.nan if row is None else row.get(key) for row in rows], dtype=np.float64)
-        for key in _all_keys(codes)
+        for key in all_keys(codes)
     }
     shape_of_row = np.array([codes[keys] for keys in keys_of_row], dtype=np.int64)
     return MappingColumn(shapes=tuple(codes), shape_of_row=shape_of_row, values=values)
 
 
-def _all_keys(shapes: Iterable[Keys]) -> list[str]:
+def all_keys(shapes: Iterable[Keys]) -> list[str]:
     return list(dict.fromkeys(key for keys in shapes for key in keys or ()))
-
-
-def encode_frame(kind: Kind, frame: Frame) -> bytes:
-    """Return a frame with all of its kind's columns as bytes."""
-    parts = []
-    for column in kind.columns:
-        data = frame.columns[column.name]
-        if column.relative_to is not None:
-            data = frame.integers(column.name) - frame.integers(column.relative_to)
-        parts.append(block(_encode_column(column, data)))
-    return bytes([FORMAT]) + varint(frame.rows) + b"".join(parts)
 
 
 def decode_frame(kind: Kind, data: bytes | memoryview, names: Collection[str] | None = None) -> Frame:
@@ -192,16 +169,6 @@ def decode_frame(kind: Kind, data: bytes | memoryview, names: Collection[str] | 
     return Frame(rows=rows, columns=columns)
 
 
-def _encode_column(column: Column, data: ColumnData) -> bytes:
-    if isinstance(data, MappingColumn):
-        return _encode_mapping(data)
-    if isinstance(data, list):
-        return _encode_texts(data)
-    if column.type is ColumnType.INTEGER:
-        return encode_integers(data.astype(np.int64, copy=False))
-    return encode_floats(data.astype(np.float64, copy=False))
-
-
 def _decode_column(column: Column, data: memoryview, rows: int) -> ColumnData:
     if column.type is ColumnType.INTEGER:
         return decode_integers(data, rows)
@@ -210,27 +177,10 @@ def _decode_column(column: Column, data: memoryview, rows: int) -> ColumnData:
     return _decode_texts(data, rows) if column.type is ColumnType.TEXT else _decode_mapping(data, rows)
 
 
-def _encode_dictionary(distinct: Sequence[object], codes: IntArray) -> bytes:
-    listed = json.dumps(distinct, ensure_ascii=False, separators=(",", ":")).encode()
-    return block(deflate(listed)) + block(encode_integers(codes))
-
-
-def _encode_texts(texts: list[str | None]) -> bytes:
-    codes = {text: code for code, text in enumerate(dict.fromkeys(texts))}
-    return _encode_dictionary(list(codes), np.array([codes[text] for text in texts], dtype=np.int64))
-
-
 def _decode_texts(data: memoryview, rows: int) -> list[str | None]:
     reader = ByteReader(data)
     distinct: list[str | None] = json.loads(inflate(reader.block()))
     return [distinct[code] for code in decode_integers(reader.block(), rows).tolist()]
-
-
-def _encode_mapping(mapping: MappingColumn) -> bytes:
-    parts = [_encode_dictionary(mapping.shapes, mapping.shape_of_row)]
-    for key in _all_keys(mapping.shapes):
-        parts.append(block(encode_floats(mapping.values[key][_has_key(mapping.shapes, mapping.shape_of_row, key)])))
-    return b"".join(parts)
 
 
 def _decode_mapping(data: memoryview, rows: int) -> MappingColumn:
@@ -239,14 +189,14 @@ def _decode_mapping(data: memoryview, rows: int) -> MappingColumn:
     shapes = tuple(None if keys is None else tuple(keys) for keys in listed)
     shape_of_row = decode_integers(reader.block(), rows)
     values = {}
-    for key in _all_keys(shapes):
-        present = _has_key(shapes, shape_of_row, key)
+    for key in all_keys(shapes):
+        present = has_key(shapes, shape_of_row, key)
         values[key] = np.full(rows, np.nan)
         values[key][present] = decode_floats(reader.block(), int(present.sum()))
     return MappingColumn(shapes=shapes, shape_of_row=shape_of_row, values=values)
 
 
-def _has_key(shapes: Sequence[Keys], shape_of_row: IntArray, key: str) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def has_key(shapes: Sequence[Keys], shape_of_row: IntArray, key: str) -> np.ndarray[Any, np.dtype[np.bool_]]:
     having = np.array([keys is not None and key in keys for keys in shapes], dtype=bool)
     return having[shape_of_row] if having.size else np.zeros(shape_of_row.size, dtype=bool)
 
@@ -292,7 +242,7 @@ def _concatenate_mappings(parts: Sequence[MappingColumn]) -> MappingColumn:
     ]
     values = {
         key: np.concatenate([part.values.get(key, np.full(part.shape_of_row.size, np.nan)) for part in parts])
-        for key in _all_keys(codes)
+        for key in all_keys(codes)
     }
     shape_of_row = np.concatenate(renumbered) if renumbered else np.zeros(0, dtype=np.int64)
     return MappingColumn(shapes=tuple(codes), shape_of_row=shape_of_row, values=values)

@@ -9,20 +9,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from daemon.history.columns.codec import ByteReader, FloatArray, block, deflate, inflate
-from daemon.history.columns.frames import (
-    ColumnType,
-    Frame,
-    Kind,
-    MappingColumn,
-    decode_frame,
-    encode_frame,
-    frame_from_rows,
-)
+from daemon.history.columns.codec import ByteReader, FloatArray, inflate
+from daemon.history.columns.encoding import block, deflate, encode_frame, encode_temperatures
+from daemon.history.columns.frames import ColumnType, Frame, Kind, MappingColumn, decode_frame, frame_from_rows
 from daemon.history.columns.joining import cycle_block
 from daemon.history.columns.kinds import CYCLES, KINDS, TEMPERATURES
 from daemon.history.columns.packed_hour import PackedHour, rows_of_hour, table_of
-from daemon.history.columns.temperature_chunks import CycleBlock, decode_temperatures, encode_temperatures
+from daemon.history.columns.temperature_chunks import CycleBlock, decode_temperatures
 from daemon.history.database import HOUR_MS
 from models.quality import Quality
 from models.units import degc_from_int16
