@@ -304,7 +304,7 @@ def _impossible(recording: Recording) -> Iterator[Finding]:
 
 def _as_read(value: float, unit: str) -> str:
     """Return a value with its unit, a temperature also as the file has it where it is round in another unit there."""
-    said = f"{value:.6g} {unit}"
+    said = f"{value + 0.0:.6g} {unit}"
     for other, there in (("degF", 1.8 * value + 32.0), ("K", value + ZERO_CELSIUS_K)) if unit == "degC" else ():
         if abs(there - round(there)) < 1e-6 < abs(value - round(value)):
             return f"{said} ({there:.6g} {other})"

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 from thermal_runs import run
 
 from daemon.cli import main
+from daemon.cli.simulate.replay import report
 from daemon.history.reader import EventRecord
 from daemon.simulation.replaying import LEAST_SHARE, following, pauses
 
@@ -64,6 +65,16 @@ def test_a_computer_that_was_too_busy_is_told_though_the_output_was_active() -> 
     assert pauses(times_s[:100] + times_s[105:], 15.0, 600.0) == "", "once a minute and a half"
     said = pauses(times_s[:100] + times_s[160:], 15.0, 600.0)  # 1.5 um instead of 0.2 on such a computer
     assert "for 15% of the time played" in said and "at most 915 s" in said and "--speed 150" in said
+
+
+def test_names_in_brackets_stand_in_the_table_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    """`Z [mm]` was called Z, and a name with [/ ended the replay with a traceback after all was played."""
+    figures = {case: {"rmse_um": 1.0, "max_um": 2.0} for case in ("without", "with")}
+    channels = {"Z [mm]": figures, "Y [/mm]": figures}
+    found = {"following": {"active_share": 1.0}, "warnings": [], "advice": [], "channels": channels}
+    report(Path("run [a].csv"), found, None)
+    said = capsys.readouterr().out
+    assert all(name in said for name in ("Z [mm]", "Y [/mm]", "run [a].csv"))
 
 
 def played(tmp_path: Path, recording: Path, model: Path, *options: str) -> "subprocess.CompletedProcess[str]":

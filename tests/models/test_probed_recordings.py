@@ -51,6 +51,8 @@ def test_a_value_that_is_repeated_until_the_next_one_is_told_and_zeros_between_a
     assert [one for one in recording_findings(coarse) if "repeats" in one.sentence] == [], "a sensor may be coarse"
     possible = replace(whole, displacements_um=between).without_impossible()
     assert np.array_equal(possible.displacements_um, np.where(between == 0.0, np.nan, between), equal_nan=True)
+    turned = recording_findings(replace(whole, displacements_um=-between))
+    assert any(one.sentence.startswith("0 um cannot be") for one in turned), "a probe the other way round has -0"
 
 
 def test_a_displacement_that_was_set_to_zero_on_the_way_is_told() -> None:

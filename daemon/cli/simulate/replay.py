@@ -184,13 +184,14 @@ def report(recording: Path, found: dict[str, Any], json_path: str | None) -> Non
         return
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table(title=f"{recording.name}: error since the first block [um]")
+    table = Table(title=Text(f"{recording.name}: error since the first block [um]"))
     for column in ("channel", "RMSE without", "RMSE with", "max without", "max with"):
         table.add_column(column, justify="right")
     for name, channel in found["channels"].items():
         numbers = [channel[case][key] for key in ("rmse_um", "max_um") for case in ("without", "with")]
-        table.add_row(name, *(f"{number:.2f}" for number in numbers))
+        table.add_row(Text(name), *(f"{number:.2f}" for number in numbers))
     Console().print(table)
 
 
