@@ -217,13 +217,14 @@ def watching(model: LinearModel) -> LinearModel:
 
 
 def after_a_drift(
-    model: LinearModel, drift_k_per_h: float, *, told: bool = False, off_k: float = 0.0
+    model: LinearModel, drift_k_per_h: float, *, told: bool = False, off_k: float = 0.0, back_min: float = 0.0
 ) -> tuple[FloatArray, list[int]]:
     """A sensor drifts for an hour and a half, is right again, and ten minutes later the work is positioned.
 
     Returns the thermal error of every minute since then [um], and who counts no longer in the end.
 
-    `told`: cleansing has told the jump. `off_k`: so far beside training the sensor's place is.
+    `told`: cleansing has told the jump. `off_k`: so far beside training the sensor's place is. `back_min`: it has gone
+    back over so long, instead of at once [min].
     """
     of, none = machine(5), np.zeros(SENSORS, dtype=bool)
     of = replace(of, temperatures_degc=of.temperatures_degc + off_k * (np.arange(SENSORS) == 2))
@@ -236,7 +237,12 @@ def after_a_drift(
     errors = []
     for minute in range(160):
         time_min, degc = float(REFERENCE + minute), of.temperatures_degc[REFERENCE + minute].copy()
-        degc[2] += drift_k_per_h * minute / 60.0 if minute < 90 else 0.0
+        degc[2] += (
+            drift_k_per_h
+            / 60.0
+            * min(minute, (90 - minute) * (90.0 / back_min - 1.0) if back_min else 90.0)
+            * (minute < 90)
+        )
         if minute == 90:
             online.jumped(jumped_k)
         online.on_sample(time_min, degc, float(of.speed_rpm[REFERENCE + minute]))
@@ -249,9 +255,12 @@ def after_a_drift(
     return np.array(errors), list(online.excluded)
 
 
-def test_a_sensor_that_is_right_again_leaves_nothing_behind_once_the_work_is_positioned(watching: LinearModel) -> None:
+@pytest.mark.parametrize("back_min", [0.0, 20.0, 60.0], ids=["at once", "in 20 min", "in an hour"])
+def test_a_sensor_that_is_right_again_leaves_nothing_behind_once_the_work_is_positioned(
+    watching: LinearModel, back_min: float
+) -> None:
     clean, _ = after_a_drift(watching, 0.0)
-    after, excluded = after_a_drift(watching, 12.0)
+    after, excluded = after_a_drift(watching, 12.0, back_min=back_min)
     np.testing.assert_allclose(after, clean, atol=0.1)
     assert excluded == []
 
