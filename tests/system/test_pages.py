@@ -242,6 +242,7 @@ async def test_a_fault_appears_with_its_reason_and_what_to_do(tmp_path):
             await bench.rig.turn()
         await expect(seen.page.locator("#state")).to_contain_text("FAULT", timeout=PATIENCE_MS)
         assert "FAULT" in await seen.page.title()
+        await expect(seen.page.locator("ul.checks").first).to_contain_text("What is switched on waits")
         await expect(seen.page.locator(".state .todo")).to_contain_text("What to do: ", timeout=PATIENCE_MS)
         await seen.page.get_by_role("link", name="All messages").click()
         await seen.page.locator("#search").fill("another program writes")

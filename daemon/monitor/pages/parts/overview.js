@@ -131,6 +131,7 @@ function writes({ writes: count, state: now }) {
 
 function applied(status) {
   const on = Object.entries(status.axes).filter(([, axis]) => axis.enabled);
+  if (!on.length && Object.values(status.axes).some((axis) => axis.wanted)) return [["wait", "What is switched on waits, as the state says", ""]];
   if (!on.length) return [["wait", "No axis is enabled", "A person switches compensation on."]];
   const beyond = on.filter(([, axis]) => axis.applied_um !== null && Math.abs(axis.applied_um) > axis.bound_um + 1e-6);
   if (beyond.length) return [["no", `Axis ${beyond.map(([name]) => name.toUpperCase()).join(", ")}: applied beyond the bound`, ""]];
