@@ -40,6 +40,11 @@ CYCLES_WAITED = 2.5
 """A line must complete a cycle within so many periods."""
 
 
+OF_THE_HAAS = {
+    range(150, 200): "which its probing system writes",
+    range(550, 600): "where its probing system keeps what it was calibrated to",
+    range(700, 800): "which a program cannot write there",
+}
 CREDENTIALS = Path("/run/credentials")
 """Here the service manager puts what it hands to the service, and to nobody else."""
 
@@ -205,6 +210,8 @@ async def preflight(configuration: Configuration, clock: Clock, *, devices: bool
         yield _spindle_speed(configuration)
     for finding in _tool_number(configuration):
         yield finding
+    for finding in _variables_of_a_haas(configuration):
+        yield finding
     if not devices:
         return
     for finding in ports(configuration):
@@ -265,6 +272,22 @@ def _tool_number(configuration: Configuration) -> Iterator[Finding]:
             "machine's builder keeps it"
         )
         yield Finding(subject="tool in the spindle", passed=True, detail=detail)
+
+
+def _variables_of_a_haas(configuration: Configuration) -> Iterator[Finding]:
+    """Yield which macro variables of the configuration are not free on a Haas, and what to name instead."""
+    if configuration.cnc.driver != "haas":
+        return
+    macros, speed, memory = configuration.cnc.macros, configuration.spindle_speed, configuration.guard_memory
+    ours = {*macros.block, *macros.allowed, *memory}
+    ours |= set() if speed is None else {*speed.macros.model_dump(exclude_none=True).values()}
+    found = []
+    for taken, of in OF_THE_HAAS.items():
+        if here := sorted(ours.intersection(taken)):
+            key = "cnc.guard.memory, " if here[0] in memory else ""
+            found.append(f"{key}#{here[0]} is one of #{taken[0]} to #{taken[-1]}, {of}")
+    free = "#100 to #149, #500 to #549 and #600 to #699 are free"
+    yield Finding(subject="variables of the Haas", passed=not found, detail="; ".join([*found, free]))
 
 
 def _record(configuration: Configuration) -> Finding:

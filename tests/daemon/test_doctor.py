@@ -12,6 +12,7 @@ from speed_machine import speed_machine
 from config.loader import load_configuration
 from config.machines import shipped_file
 from config.sample import sample_configuration
+from config.schema.cnc import CncConfig
 from config.schema.cnc_drivers import FocasConfig, MtconnectConfig
 from config.schema.modbus import ModbusConfig
 from config.schema.source_drivers import SourceConfig
@@ -75,6 +76,27 @@ async def test_of_a_speed_that_may_be_the_next_tool_s_it_says_so(tmp_path, macro
     findings = preflight(configuration.model_copy(update={"cnc": cnc}), SystemClock(), devices=False)
     details = [finding.detail async for finding in findings if finding.subject == "tool of the spindle speed"]
     assert ["no speed is tuned until the program has named" in detail for detail in details] == [True] * told
+
+
+@pytest.mark.parametrize(
+    ("memory", "writable", "named"),
+    [
+        (590, [], ["cnc.guard.memory, #590 is one of #550 to #599, where its probing"]),
+        (600, ["150", "799"], ["#150 is one of #150 to #199, which", "#799 is one of #700 to #799, which"]),
+        (600, [], []),
+    ],
+)
+async def test_variables_that_a_haas_needs_itself_are_named(memory, writable, named):
+    """What its probing system was calibrated to would be overwritten at the first run of the guard."""
+    configuration = load_configuration(shipped_file("cfrpmt.yaml"))
+    cnc = configuration.cnc.model_dump(exclude_none=True, exclude={"opcua"})
+    cnc["guard"]["memory"], cnc["macros"]["writable"] = memory, [*cnc["macros"]["writable"], *writable]
+    for driver in ("haas", "focas"):
+        changed = CncConfig.model_validate(cnc | {"driver": driver, driver: {"host": "127.0.0.1"}})
+        findings = preflight(configuration.model_copy(update={"cnc": changed}), SystemClock(), devices=False)
+        found = [each async for each in findings if "Haas" in each.subject]
+        assert [each.passed for each in found] == [not named] * (driver == "haas")
+        assert all(each in found[0].detail for each in named if driver == "haas")
 
 
 async def test_a_line_whose_port_is_missing_is_named_once() -> None:
