@@ -42,12 +42,15 @@ from daemon.backup.manifest import (
 )
 from daemon.backup.places import Places, agreed_places, installed_places, targets
 from daemon.history.database import HistoryError, connect_reader, connect_writer
-from daemon.history.store_lock import WriterLock
+from daemon.history.store_lock import RESTORATION_BEGUN, WriterLock
 from daemon.state_store.documents import OutputFault, SensorLevelsDocument, SpindleSpeedSwitch
 from daemon.state_store.store import KEYS, document_json
 
 BESIDE_STORE = ("-wal", "-shm")
 """Files of SQLite that belong to a store."""
+UNPACKED = ".toolpoint-restore-unpacked-"
+PLAN_NAME = "plan.json"
+"""What is exchanged, in a folder that only the restoring account can write in."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,6 +98,7 @@ def restore(
             places = agreed_places(manifest, archived, wanted, keep_configuration=keep_configuration)
             store = places.store
             assert store is not None, "every back-up holds a store"
+            _undo_broken_off(store)
             if not accept_unsigned:
                 archive.signer(_trusted(config_path))
             _refuse_another_machine(archive_path, manifest, config_path)
@@ -151,14 +155,68 @@ def _refuse_small_disk(archive: Archive, store: Path) -> None:
 @contextmanager
 def _private_folder(parent: Path) -> Iterator[Path]:
     """Yield a folder of our own that stays the same one, even if another process renames it."""
-    with tempfile.TemporaryDirectory(prefix=".toolpoint-restore-", dir=parent) as work:
-        descriptor = os.open(work, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
-        try:
-            if os.fstat(descriptor).st_uid != os.geteuid():
-                raise BackupError(f"{work}: somebody else has put a folder in this place; find out who")
-            yield Path(f"/proc/self/fd/{descriptor}")
-        finally:
-            os.close(descriptor)
+    with tempfile.TemporaryDirectory(prefix=UNPACKED, dir=parent) as work, _held(Path(work)) as folder:
+        yield folder
+
+
+@contextmanager
+def _held(work: Path) -> Iterator[Path]:
+    """Yield a way to a folder that only this account can write in."""
+    descriptor = os.open(work, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        found = os.fstat(descriptor)
+        if found.st_uid != os.geteuid() or found.st_mode & 0o077:
+            raise BackupError(f"{work}: somebody else has put a folder in this place; find out who")
+        yield Path(f"/proc/self/fd/{descriptor}")
+    finally:
+        os.close(descriptor)
+
+
+def _undo_broken_off(store: Path) -> None:
+    """Put back what a restoration that a kill or a power cut ended had moved aside, and remove what it unpacked."""
+    begun, left = store.with_name(RESTORATION_BEGUN), list(store.parent.glob(f"{UNPACKED}*"))
+    if not left and not os.path.lexists(begun):
+        return
+    with _stopped(store):
+        if os.path.lexists(begun):
+            with _held(begun) as folder:
+                if (folder / PLAN_NAME).exists():
+                    exchanged = json.loads((folder / PLAN_NAME).read_text("utf-8"))
+                    before = {Path(path): Path(aside) for path, aside in exchanged["kept"]}
+                    kept = {path: aside for path, aside in before.items() if os.path.lexists(aside)}
+                    _undo([path for path in map(Path, exchanged["placed"]) if path in kept or path not in before], kept)
+            _forget_plan(begun)
+        for work in left:
+            with _held(work):
+                shutil.rmtree(work)
+
+
+def _write_plan(begun: Path, placed: Iterable[Path], kept: Iterable[tuple[Path, Path]]) -> None:
+    """Write down what is about to be exchanged, so that it can be undone after a power cut."""
+    begun.mkdir(mode=0o700)
+    plan = {"placed": [str(path) for path in placed], "kept": [(str(path), str(aside)) for path, aside in kept]}
+    with _held(begun) as folder:
+        with (folder / "plan.partial").open("x", encoding="utf-8") as file:
+            json.dump(plan, file)
+            file.flush()
+            os.fsync(file.fileno())
+        (folder / "plan.partial").rename(folder / PLAN_NAME)
+        _write_through(folder)
+    _write_through(begun.parent)
+
+
+def _forget_plan(begun: Path) -> None:
+    with _held(begun) as folder:
+        (folder / PLAN_NAME).unlink(missing_ok=True)
+    shutil.rmtree(begun)
+
+
+def _write_through(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def _configuration(archive: Archive, config_path: Path) -> Configuration:
@@ -181,7 +239,7 @@ class _stopped:
 
     def __init__(self, store: Path) -> None:
         self._store = store
-        self._lock = WriterLock(store)
+        self._lock = WriterLock(store, restores=True)
 
     def __enter__(self) -> None:
         try:
@@ -282,23 +340,35 @@ def _put_in_place(
     if in_the_way and not replace:
         listed = ", ".join(map(str, in_the_way))
         raise BackupError(f"there is already {listed}; --replace moves what is there aside, nothing is deleted")
+    # without a configuration nothing can be begun again: it is exchanged last, and at once
+    to_place.sort(key=lambda piece: piece[0] == CONFIGURATION_NAME)
+    aside, begun = dict(_aside(store, in_the_way)), store.with_name(RESTORATION_BEGUN)
+    last = {path for name, path in to_place if name == CONFIGURATION_NAME and path in aside}
     kept: dict[Path, Path] = {}
     placed: list[Path] = []
+    _write_plan(begun, [path for _, path in to_place], aside.items())
     try:
-        for path, aside in _aside(store, in_the_way):
-            path.rename(aside)
-            kept[path] = aside
+        for path in aside.keys() - last:
+            path.rename(aside[path])
+            kept[path] = aside[path]
         for name, path in to_place:
             path.parent.mkdir(parents=True, exist_ok=True)
+            if path in last:
+                path.rename(aside[path])
+                kept[path] = aside[path]
             placed.append(path)
             if name == MODEL_NAME and manifest.active_release is not None:
                 path.symlink_to(Path("releases") / f"{manifest.active_release:04d}" / "model.json")
             else:
                 # who may write in the folder of the models may do so in that of its releases
                 _place(folder / name, path, stat.S_IMODE(path.parent.stat().st_mode))
+        for each in {path.parent for path in placed}:
+            _write_through(each)
     except BaseException:  # also when a person breaks it off: half a store must not stand in the place of a whole one
         _undo(placed, kept)
+        _forget_plan(begun)
         raise
+    _forget_plan(begun)
     return Restored(manifest=manifest, placed=tuple(placed), kept=tuple(kept.values()))
 
 
@@ -342,6 +412,7 @@ def _place(source: Path, path: Path, folder_mode: int = 0o755) -> None:
         _make_readable(path, folder_mode)
         for each in sorted(source.iterdir()):
             _place(each, path / each.name)
+        _write_through(path)
         return
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     with os.fdopen(descriptor, "wb") as target, source.open("rb") as content:

@@ -17,6 +17,9 @@ from typing import Self
 from daemon.history.database import HistoryError
 from daemon.history.rows import PUT_STATE
 
+RESTORATION_BEGUN = ".toolpoint-restore-begun"
+"""Folder beside a store while its files are exchanged; it stays when that is broken off."""
+
 
 class StoreLostError(HistoryError):
     """The file that was written is no longer the store; nothing of what was committed last counts."""
@@ -30,8 +33,8 @@ one of this process."""
 class WriterLock:
     """Keeps a second writer away from a store, in this and in other processes."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path: Path, *, restores: bool = False) -> None:
+        self._path, self._restores = path, restores
         self._descriptor: int | None = None
         self._store: int | None = None
 
@@ -59,6 +62,10 @@ class WriterLock:
         self._descriptor = descriptor
         try:
             self.hold(create=False)
+            if not self._restores and os.path.lexists(begun := self._path.with_name(RESTORATION_BEGUN)):
+                raise HistoryError(
+                    f"{begun}: `toolpoint restore` was broken off; run it again, which puts all back first"
+                )
         except HistoryError:
             self.release()
             raise

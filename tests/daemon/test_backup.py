@@ -32,6 +32,7 @@ from daemon.backup.manifest import BackupError, last_block_beside
 from daemon.backup.names import backup_name, existing_backups
 from daemon.backup.places import Places
 from daemon.backup.restoring import read_manifest, restore
+from daemon.history.database import HistoryError
 from daemon.history.reader import HistoryReader
 from daemon.model_release.releasing import rollback
 
@@ -391,6 +392,43 @@ main(sys.argv[1:])
         assert done.returncode == 1
         assert state_of(installation.configuration.history.path)["wanted"]["axes"] == {"y": True, "z": True}
         assert {each.name for each in folder.iterdir()} <= known
+
+
+@pytest.mark.parametrize("placed", [0, 1, 2])
+def test_a_restoration_that_a_power_cut_ended_is_undone_by_the_next_and_no_daemon_starts_before(installation, placed):
+    """Without its store the daemon began an empty one; what was unpacked stayed for good."""
+    installation.release("ridge-1")
+    path, config, folder = installation.backup(), installation.config_path, installation.folder
+    config.write_text(config.read_text(encoding="utf-8") + "# later\n", encoding="utf-8")
+    before = {item: item.read_bytes() for item in folder.rglob("*") if item.is_file()}
+    script = f"""
+import os, signal, sys
+from daemon.backup import restoring
+place, done = restoring._place, []
+def cut(source, path, *more):
+    if not str(source).count("/releases/"):
+        done.append(path)
+    if len(done) > {placed}:
+        os.kill(os.getpid(), signal.SIGKILL)
+    place(source, path, *more)
+restoring._place = cut
+from daemon.cli import main
+main(sys.argv[1:])
+"""
+    words = ["restore", str(path), "--replace", "--config", config]
+    assert subprocess.run([sys.executable, "-P", "-c", script, *words], check=False).returncode == -9
+    for _ in range(2):
+        with pytest.raises(HistoryError, match=r"`toolpoint restore` was broken off; run it again"):
+            installation.writer().start()
+    places = Places.of(installation.configuration)
+    with pytest.raises(BackupError, match="--replace moves what is there aside"):
+        restore(path, config, person="anna", replace=False, given=places)
+    after = {item: item.read_bytes() for item in folder.rglob("*") if item.is_file()}
+    lock = Path(f"{places.store}.lock")
+    assert {k: v for k, v in after.items() if k != lock} == {k: v for k, v in before.items() if k != lock}
+    assert not list(folder.rglob(".toolpoint-restore-*"))
+    restore(path, config, person="anna", replace=True)
+    assert not list(folder.rglob(".toolpoint-restore-*"))
 
 
 @pytest.mark.parametrize("broken_off", [OSError(28, "No space left on device"), KeyboardInterrupt()])
