@@ -33,7 +33,10 @@ LEAST_PAIRS = 5
 """A week with fewer measurements does not count."""
 LARGEST_CORRELATION = 0.8
 OUTLIER_DEVIATIONS = 5.0
-"""What is left counts as at most so many robust standard deviations of its week: a chip under the probe is no drift."""
+"""What is left counts as at most so many robust standard deviations of its week: a chip under the probe is no drift.
+
+The larger deviation counts of all and of where the error is large: in a week that the machine mostly stood, what a
+worn model leaves of the few hours of work was taken for such chips."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,9 +95,10 @@ def weekly_shares(
             if of_week.sum() < LEAST_PAIRS:
                 continue
             without, left = without_um[of_week], left_um[of_week]
-            scale = 1.4826 * float(np.median(np.abs(left - np.median(left))))
-            most = abs(float(np.median(left))) + OUTLIER_DEVIATIONS * max(scale, 1e-9)
-            there, remains = _rms(without), _rms(np.clip(left, -most, most))
+            there = _rms(without)
+            large = left[np.abs(without) >= there / 2.0]
+            most = max(_most(left), _most(large) if len(large) >= LEAST_PAIRS else 0.0)
+            remains = _rms(np.clip(left, -most, most))
             if max(there, remains) < least_error_um or there == 0.0:
                 continue
             middles.append(float(time_d.min()) + WEEK_D * (float(number) + 0.5))
@@ -208,6 +212,12 @@ def _student(deviations: float, freedom: float) -> float:
     """Return the deviations of Student's distribution that are as rare (Cornish-Fisher, to the second order)."""
     z = deviations
     return z + (z**3 + z) / (4.0 * freedom) + (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / (96.0 * freedom**2)
+
+
+def _most(left: FloatArray) -> float:
+    """Return what counts at most of what is left [um]."""
+    middle = float(np.median(left))
+    return abs(middle) + OUTLIER_DEVIATIONS * max(1.4826 * float(np.median(np.abs(left - middle))), 1e-9)
 
 
 def _rms(values: FloatArray) -> float:

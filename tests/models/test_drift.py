@@ -95,3 +95,12 @@ def test_a_chip_under_the_probe_is_no_drift() -> None:
     spoilt[-20:-18] = 900.0
     one, other = (judge_drift(made.time_d, made.without_um, left) for left in (made.left_um, spoilt))
     assert one is not None and other is not None and abs(one.share - other.share) < 0.1 and not other.retrain
+
+
+def test_weeks_in_which_the_machine_mostly_stands_show_what_a_worn_model_leaves() -> None:
+    rng = np.random.default_rng(7)
+    time_d = np.sort(rng.uniform(0.0, 210.0, 4200))
+    error_um = np.where(rng.random(len(time_d)) < 0.1, rng.normal(0.0, 20.0, len(time_d)), 0.0)
+    noise_um = rng.normal(0.0, 0.3, len(time_d))
+    shares = weekly_shares(time_d, error_um + noise_um, 0.6 * error_um + noise_um, 2.0)[1]
+    assert np.all(np.abs(shares - 0.6) < 0.1)
