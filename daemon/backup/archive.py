@@ -157,7 +157,8 @@ class Archive:
         except BackupError as error:
             raise error if str(error).startswith(str(self._path)) else self._refused(str(error)) from error
         except (tarfile.TarError, OSError, ValueError, OverflowError) as error:
-            raise self._refused(f"this is no whole back-up ({error}); take another one") from error
+            if names or isinstance(error, OSError):
+                raise self._refused(f"this is no whole back-up ({error}); take another one") from error
         if not names:
             raise self._refused(f"this is no back-up of Toolpoint: it does not begin with {MANIFEST_NAME}")
 

@@ -15,7 +15,7 @@ from daemon.model_release.loading import LoadedModel, WantedModel, load_checked
 from daemon.model_release.releasing import Kind
 from daemon.model_release.repository import ReleaseError, ReleaseRepository
 from daemon.spindle_speed.planning import OperationPlanning, planned_with
-from models.errors import StabilityError
+from models.errors import RefusedInputError, StabilityError
 from models.model_file import ModelError
 from models.thermomechanics.artifact import model_from_json
 from models.thermomechanics.regression import ThermomechanicalModel
@@ -45,13 +45,13 @@ def _read_bearings(content: bytes, source: str) -> tuple[ThermomechanicalModel |
 
 
 def bearing_repository(configuration: Configuration) -> ReleaseRepository:
-    """Return the releases of the bearing model; raises ReleaseError without a configured place."""
+    """Return the releases of the bearing model; raises RefusedInputError without a configured place."""
     tuning = configuration.spindle_speed
     if tuning is None:
-        raise ReleaseError("there is no section spindle_speed, so there is no place for a released bearing model")
+        raise RefusedInputError("there is no section spindle_speed, so there is no place for a released bearing model")
     path = tuning.thermomechanical_model
     if path == configuration.compensation.model_file:
-        raise ReleaseError(
+        raise RefusedInputError(
             f"{path}: compensation.model_file and spindle_speed.thermomechanical_model name the same file; two models "
             "need two names"
         )

@@ -27,6 +27,7 @@ from daemon.model_release.gate import (
 from daemon.model_release.loading import Named, model_from_text
 from daemon.model_release.release_checks import gate_inhibit, policy_inhibit
 from daemon.model_release.repository import ReleaseError, ReleaseRepository
+from models.errors import RefusedInputError
 from models.thermal.family import ThermalModel
 from models.thermal.model import READS
 
@@ -40,7 +41,7 @@ class Kind:
     """A kind of model that is released: where, and what is checked before."""
 
     repository: Callable[[Configuration], ReleaseRepository]
-    """Raises ReleaseError without a configured place."""
+    """Raises RefusedInputError without a configured place."""
     checked: Callable[[Configuration, bytes, str], tuple[Named, list[str]]]
     """Return the model that bytes hold, and what was found good; raises ReleaseError."""
     inputs: Callable[[Any], Iterable[str]]
@@ -86,9 +87,9 @@ def _named(uid: int) -> str:
 
 
 def repository_of(configuration: Configuration) -> ReleaseRepository:
-    """Return the machine's repository of releases; raises ReleaseError without a configured place."""
+    """Return the machine's repository of releases; raises RefusedInputError without a configured place."""
     if configuration.compensation.model_file is None:
-        raise ReleaseError("compensation.model_file is not set, so there is no place for a released model")
+        raise RefusedInputError("compensation.model_file is not set, so there is no place for a released model")
     return ReleaseRepository(configuration.compensation.model_file)
 
 

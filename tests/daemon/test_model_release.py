@@ -18,6 +18,7 @@ from daemon.model_release.loading import load_released
 from daemon.model_release.releasing import person_now, proposals, release, repository_of, rollback
 from daemon.model_release.repository import ReleaseError
 from daemon.model_release.retraining import propose
+from models.errors import RefusedInputError
 from models.thermal.linear import LinearModel
 
 STRANGER = Account(user_id=OTHER)
@@ -214,7 +215,8 @@ def test_what_is_refused_says_why(folder):
     assert "no file of a model" in refusal(folder, folder)
     (folder / "link.json").symlink_to(good)
     assert "name the proposal's own file" in refusal(folder, folder / "link.json")
-    assert "model_file is not set" in refusal(folder, good, model_file=None)
+    with pytest.raises(RefusedInputError, match="model_file is not set"):
+        release(configured(folder, model_file=None), good, person="anna")
 
 
 def damaged(path: Path, key: str, value: object) -> Path:

@@ -143,7 +143,18 @@ def test_the_live_view_needs_a_terminal_and_says_what_does_not(tmp_path: Path) -
 
 def test_a_back_up_that_is_not_there_is_no_broken_one(tmp_path: Path) -> None:
     found = toolpoint("restore", tmp_path / "x.tar", "--verify")
-    assert found.exit_code == 1 and found.output == f"{tmp_path}/x.tar: cannot be read (No such file or directory)\n"
+    assert found.exit_code == 2 and f"File '{tmp_path}/x.tar' does not exist." in found.output
+    (tmp_path / "x.tar").write_text("a text", encoding="utf-8")
+    found = toolpoint("restore", tmp_path / "x.tar", "--verify")
+    assert found.exit_code == 1
+    assert found.output == f"{tmp_path}/x.tar: this is no back-up of Toolpoint: it does not begin with manifest.json\n"
+
+
+@pytest.mark.parametrize("command", [["release", "m.json"], ["rollback"], ["list"], ["list", "--bearings"]])
+def test_a_configuration_without_a_place_for_models_is_no_failed_release(command: list[str], tmp_path: Path) -> None:
+    assert toolpoint("sample-config", "--output", tmp_path / "own.yaml").exit_code == 0
+    found = toolpoint("model", *command, "--config", tmp_path / "own.yaml")
+    assert found.exit_code == 2 and "so there is no place for a released" in found.output
 
 
 def test_streams_that_are_closed_are_open_to_nothing(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 
 from daemon.cli.common import FAILED, FILE, config_option, option, read_configuration, refuse, say, write_json
-from daemon.cli.options import json_option
+from daemon.cli.options import EXISTING_FILE, json_option
 from models.json_values import printable
 
 BREAKING_OFF = (signal.SIGHUP, signal.SIGTERM)
@@ -95,7 +95,7 @@ def backup(destination: Path | None, keep: int | None, config_path: Path, json_p
 
 
 @click.command()
-@click.argument("archive", type=FILE)
+@click.argument("archive", type=EXISTING_FILE)
 @option("--verify", "verify_only", is_flag=True, help="Prove every file of the back-up and do nothing else.")
 @option("--replace", is_flag=True, help="Move what is there already aside, under another name.")
 @option("--keep-configuration", is_flag=True, help="Leave the installed configuration in force.")

@@ -135,10 +135,7 @@ def list_command(bearings: bool, config_path: Path, json_path: str | None) -> No
 
     configuration = read_configuration(config_path)
     active, problem = None, ""
-    try:
-        repository = _kind(bearings).repository(configuration)
-    except (ReleaseError, OSError) as error:
-        refuse(str(error))
+    repository = _kind(bearings).repository(configuration)
     try:
         active = repository.active()
     except (ReleaseError, OSError) as error:
