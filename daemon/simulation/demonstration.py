@@ -23,15 +23,19 @@ busy computer brings within half a cycle period make one, and one whose parts it
 bytes of a line wait, so every cycle of it must arrive, once."""
 
 
-def too_slow(late_s: float, speed: float, cycle_period_s: float) -> str:
-    """Return that this computer, late by `late_s` at worst, cannot simulate at `speed`, and at which it may."""
+def too_slow(late_s: float, speed: float, cycle_period_s: float, *, lines: bool) -> str:
+    """Return that this computer, late by `late_s` at worst, cannot simulate at `speed`, and at which it may.
+
+    `lines`: serial lines of LATSIS are simulated, beside sources or alone.
+    """
     silence_s = max(SILENCE_PERIODS * cycle_period_s / speed, MIN_SILENCE_REAL_S)
     possible = int(min(SILENCE_PERIODS * cycle_period_s / (2 * max(late_s, 1e-6)), speed / 2))
     advice = f"use --speed {possible}" if possible >= 1 else "end other programs"
+    ended = f"a line that is silent for {silence_s * 1e3:.0f} ms has ended its pass"
+    due = f"the next reading of a source is due after {cycle_period_s / speed * 1e3:.0f} ms"
     return (
         f"this computer is too slow, or too busy, for --speed {speed:g}: machine or daemon waited up to "
-        f"{late_s * 1e3:.0f} ms for its turn, and a line that is silent for {silence_s * 1e3:.0f} ms has ended its "
-        f"pass; {advice}"
+        f"{late_s * 1e3:.0f} ms for its turn, and {ended if lines else due}; {advice}"
     )
 
 
@@ -122,7 +126,7 @@ def result(
     incomplete = numbers["cycles"]["incomplete"] and not sum(final["cycles_disturbed"].values())
     late_s = max(final["late_real_s"], numbers["latency_s"]["feedback"]["max"] or 0.0)
     if failures and (incomplete or lost or late_s * speed > cycle_period_s):
-        failures = [too_slow(late_s, speed, cycle_period_s), *failures]
+        failures = [too_slow(late_s, speed, cycle_period_s, lines=bool(final["cycles_disturbed"])), *failures]
     return numbers, failures
 
 

@@ -24,10 +24,12 @@ def test_every_simulated_control_tells_the_tool_in_the_spindle(tmp_path: Path, d
     ("late_s", "advice"), [(0.120, "use --speed 5"), (0.0, "use --speed 30"), (5.0, "end other programs")]
 )
 def test_a_computer_that_is_too_slow_is_told_which_speed_it_may_keep(late_s: float, advice: str) -> None:
-    told = too_slow(late_s, speed=60.0, cycle_period_s=5.0)
+    told = too_slow(late_s, speed=60.0, cycle_period_s=5.0, lines=True)
     assert told.startswith("this computer is too slow, or too busy, for --speed 60: ")
     assert f"waited up to {late_s * 1e3:.0f} ms for its turn, and a line that is silent for 50 ms has ended" in told
     assert told.endswith(advice)
+    alone = too_slow(late_s, speed=60.0, cycle_period_s=5.0, lines=False)
+    assert "line" not in alone and "the next reading of a source is due after 83 ms" in alone
 
 
 @pytest.mark.parametrize(
@@ -68,10 +70,12 @@ def status_with(received: int, incomplete: int = 0, slowest_s: float | None = 0.
 
 
 def test_why_cycles_did_not_arrive_is_said_first() -> None:
-    final, slow = final_of({"bed": 900, "box": 150}, 0.120), too_slow(0.120, speed=60.0, cycle_period_s=5.0)
+    final, slow = final_of({"bed": 900, "box": 150}, 0.120), too_slow(0.120, speed=60.0, cycle_period_s=5.0, lines=True)
     said = result(final, status_with(received=1000), 60.0, 5.0)[1]
     assert said == [slow, "1050 cycles were sent, 1000 arrived"]
     assert result(final, status_with(received=1050), 60.0, 5.0)[1] == []
+    without_lines = final_of({"box": 150}, 0.120) | {"cycles_disturbed": {}}
+    assert "of a source is due" in result(without_lines, status_with(received=100), 60.0, 5.0)[1][0]
 
 
 @pytest.mark.parametrize(("slowest_s", "told"), [(0.41, True), (0.05, False), (None, False)])
@@ -83,7 +87,7 @@ def test_a_daemon_that_stood_for_a_cycle_of_the_machine_s_time_is_why_the_output
     status["output"] = {"state": "FAULT", "reason": "for the test"}
     said = result(final_of({"bed": 900}), status, 60.0, 5.0)[1]
     assert said[-1] == "the output ended in FAULT: for the test"
-    assert (said[:-1] == [too_slow(0.41, speed=60.0, cycle_period_s=5.0)]) == told == (len(said) == 2)
+    assert (said[:-1] == [too_slow(0.41, speed=60.0, cycle_period_s=5.0, lines=True)]) == told == (len(said) == 2)
 
 
 @pytest.mark.parametrize(
