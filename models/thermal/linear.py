@@ -126,7 +126,7 @@ class LinearOnline:
 
     def set_reference(self, reference: OnlineReference) -> tuple[int, ...]:
         """Keep the states at the reference; those of one that lies back come from its history."""
-        before = self._state
+        before, counted = self._state, self._reference if reference.excluded is None else None
         readmitted_ids = self._readmit(reference.jumped_k) if reference.excluded is None else ()
         self._left_out = dict(reference.excluded or {}) if self.model.watch is None else {}
         if self.history_min <= 0.0:
@@ -135,7 +135,7 @@ class LinearOnline:
             state = _as_held(self._estimator.rebuild(reference.history, bridged=True), reference)
         else:
             state = self._now(reference.now_min, reference.degc)
-        self._reference = None if state is None else state_reference(self._estimator, state)
+        self._reference = None if state is None else state_reference(self._estimator, state, counted)
         self._reference_min, self._anew = reference.time_min, set()
         if (
             reference.excluded is None
@@ -143,7 +143,7 @@ class LinearOnline:
             and self._state is not None
             and self._reference is not None
         ):
-            shift_degc = self._state.lagged - before.lagged
+            shift_degc = self._reference.shift_degc + self._state.lagged - before.lagged
             self._anew = {i for i in map(self.model.sensor_ids.index, readmitted_ids) if not before.missing[i]}
             self._anew |= set(np.flatnonzero(shift_degc.any(axis=0)).tolist())
             self._reference = replace(self._reference, shift_degc=shift_degc)

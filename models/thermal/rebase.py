@@ -11,6 +11,9 @@ from models.thermal.estimator import LinearEstimator, excluded_sensors
 from models.thermal.known_history import ModelState
 from models.thermal.watch import MISSING
 
+FADED_K = 0.005
+"""A shift of which no more is left is over [K]."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StateReference:
@@ -28,17 +31,17 @@ class StateReference:
     """By how much what they were imputed with until the latest return may have been off, of the worst channel [um]."""
 
 
-def state_reference(estimator: LinearEstimator, state: ModelState) -> StateReference:
+def state_reference(
+    estimator: LinearEstimator, state: ModelState, before: StateReference | None = None
+) -> StateReference:
     """Return the reference that some states are.
 
-    `estimator`: of the model in use. `state`: at the instant of the reference.
+    `estimator`: of the model in use. `state`: at the instant of the reference. `before`: what it counted from until
+    then; what is left of its shifts the history tells no more than then.
     """
-    return StateReference(
-        state=state,
-        rest_um=np.zeros(len(estimator.model.channels)),
-        shift_degc=np.zeros_like(state.lagged),
-        rest_since_min=state.time_min,
-    )
+    left = np.zeros_like(state.lagged) if before is None else _faded_shift(estimator, before, state.time_min)
+    shift_degc, nothing_um = np.where(np.abs(left) > FADED_K, left, 0.0), np.zeros(len(estimator.model.channels))
+    return StateReference(state=state, rest_um=nothing_um, shift_degc=shift_degc, rest_since_min=state.time_min)
 
 
 def estimate_since(estimator: LinearEstimator, state: ModelState, reference: StateReference) -> Estimation | None:

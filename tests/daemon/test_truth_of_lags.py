@@ -320,13 +320,22 @@ def _knows_the_machine() -> LinearModel:
 KNOWS_THE_MACHINE = _knows_the_machine()
 
 
-@pytest.mark.parametrize("pauses", [(), (75,)], ids=["", "over a restart too"])
-@pytest.mark.parametrize("codes", [-64, -128])
+ONCE: dict[str, Any] = {"positionings": (90,)}
+TWICE: dict[str, Any] = {"positionings": (90, 96), "pauses": (105,), "pause_s": 10.0}
+
+
+@pytest.mark.parametrize(
+    ("codes", "how"),
+    [(-64, ONCE), (-128, ONCE), (-64, ONCE | {"pauses": (75,)}), (-128, ONCE | {"pauses": (75,)}), (-128, TWICE)],
+    ids=["4 K", "8 K", "4 K, over a restart", "8 K, over a restart", "over a restart after a second positioning"],
+)
 def test_a_sensor_that_had_drifted_and_jumps_back_leaves_nothing_behind_once_the_work_is_positioned(
-    tmp_path: Path, codes: int, pauses: tuple[int, ...]
+    tmp_path: Path, codes: int, how: dict[str, Any]
 ) -> None:
-    """What was read before a jump is told at the level of now, and was as wrong as the drift."""
-    how: dict[str, Any] = {"pauses": pauses, "positionings": (90,)}
+    """What was read before a jump is told at the level of now, and was as wrong as the drift.
+
+    At a second positioning it was forgotten that the lags had been set right: a restart read the drift into them again.
+    """
     off_um, states = run(tmp_path, drifts(0, range(5, 65), codes), PLACE, 160, KNOWS_THE_MACHINE, **how)
     assert states[80] is OutputState.HOLD
     assert states[-1] is OutputState.ACTIVE

@@ -57,7 +57,9 @@ class TwinLoop:
     disturbance: Disturbance | None = None
     seed: int = 0
     pauses: tuple[int, ...] = ()
-    """Moments before which 20 s pass in which nobody does anything."""
+    """Moments before which `pause_s` pass in which nobody does anything."""
+    pause_s: float = 20.0
+    """After less than 15 s the reference is taken up again: no positioning can have been missed."""
     reads_past: bool = False
     """The model's past may be read again: ten seconds on, all that was handed to the store is in it, however fast this
     computer plays them."""
@@ -160,7 +162,7 @@ class TwinLoop:
         if self.restarting:
             await self.loop.rig.history.flushed()
             await self.loop.end()
-        self.loop.clock.monotonic_s += 20.0
+        self.loop.clock.monotonic_s += self.pause_s
         if self.restarting:
             self._listen()
             await self._start()
