@@ -74,7 +74,9 @@ def _parsed(text: str, model: type[Model], file: str) -> tuple[Model, tuple[Prob
     if not problems and document.value is None:
         problems.append(_problem(file, (1, 1), (), f"the file is empty; {_beginning(model)}"))
     elif not problems and not isinstance(document.value, dict):
-        problems.append(_problem(file, (1, 1), (), f"must be keys with values, not {_described(document.value)}"))
+        from config.yaml_refusals import described  # noqa: PLC0415
+
+        problems.append(_problem(file, (1, 1), (), f"must be keys with values, not {described(document.value)}"))
     if problems and not isinstance(document.value, dict):
         raise ConfigurationError(problems)
     try:
@@ -152,7 +154,9 @@ def _read_text(path: Path) -> str:
 
 
 def _problem(file: str, position: Position, path: KeyPath, sentence: str) -> Problem:
-    return Problem(file=file, line=position[0], column=position[1], key=key_text(path), sentence=sentence)
+    from config.yaml_refusals import without_credentials as hide  # noqa: PLC0415
+
+    return Problem(file=file, line=position[0], column=position[1], key=hide(key_text(path)), sentence=hide(sentence))
 
 
 def key_text(path: KeyPath) -> str:
@@ -217,6 +221,8 @@ def _place(document: YamlDocument, path: KeyPath, detail: Any) -> Position:
 
 def _sentence(details: list[Any], path: KeyPath, model: type[BaseModel]) -> str:
     """Return one sentence for all that was refused about one key."""
+    from config.yaml_refusals import described  # noqa: PLC0415
+
     first = details[0]
     if first["type"] == "missing":
         from config.knobs import knob_at  # noqa: PLC0415 (only what is wrong with a file needs it)
@@ -233,7 +239,7 @@ def _sentence(details: list[Any], path: KeyPath, model: type[BaseModel]) -> str:
     subject = "the name" if "[key]" in first["loc"] else "this"
     comma = first["type"] == "float_type" and re.fullmatch(r"[-+]?\d+,\d+", str(given := first["input"]))
     hint = f": write it with a point, {given.replace(',', '.')}" if comma else ""
-    return f"{subject} must be {' or '.join(str(each) for each in expected)}, not {_described(first['input'])}{hint}"
+    return f"{subject} must be {' or '.join(str(each) for each in expected)}, not {described(first['input'])}{hint}"
 
 
 def _expected(detail: Any) -> str | None:
@@ -272,22 +278,6 @@ def _unknown_key(path: KeyPath, model: type[BaseModel]) -> str:
     if close:
         return f"unknown key; did you mean `{close[0]}`?"
     return f"unknown key; known here: {', '.join(known)}" if known else "unknown key"
-
-
-def _described(value: Any) -> str:
-    """Return a value as a sentence names it."""
-    if value is None:
-        return "nothing"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        shown = value if len(value) <= 60 else value[:57] + "..."
-        return f"the text {shown!r}" if value else "empty text"
-    if isinstance(value, dict):
-        return "keys with values" if value else "an empty mapping"
-    if isinstance(value, list):
-        return "a list" if value else "an empty list"
-    return f"{value}"
 
 
 __all__ = ["ConfigurationError"]

@@ -1,6 +1,7 @@
-"""What is said of a text that is no YAML, in place of the parser's words."""
+"""What is said of a text that is no YAML, in place of the parser's words, and how a refusal names a value."""
 
 import re
+from typing import Any
 
 import yaml
 
@@ -30,3 +31,34 @@ def sentence_of(error: yaml.MarkedYAMLError) -> str:
         if match := re.fullmatch(pattern, error.problem or ""):
             return match.expand(sentence.replace("{where}", where))
     return f"this is not valid YAML: {error.problem}" + (f" ({error.context})" if error.context else "")
+
+
+_CREDENTIALS = re.compile(
+    r"""(?i)(?P<before>://)[^'"`\n]*@|[^\s'"`/:]+:(?!//)[^\s'"`]*@"""
+    r"""|(?P<named>\w*(?:passw|pwd|secret|token|api_?key)\w*\s*=\s*)(?:'[^']*'?|"[^"]*"?|[^\s&'"`]+)"""
+)
+LONGEST_SHOWN = 60
+
+
+def without_credentials(text: str) -> str:
+    """Return a text with stars for who logs in and by what, as an address or a connection string holds it."""
+    return _CREDENTIALS.sub(
+        lambda found: f"{found['before'] or found['named'] or ''}***{'' if found['named'] else '@'}", text
+    )
+
+
+def described(value: Any) -> str:
+    """Return a value as a sentence names it."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        hidden = without_credentials(value)
+        shown = hidden if len(hidden) <= LONGEST_SHOWN else hidden[: LONGEST_SHOWN - 3] + "..."
+        return f"the text {shown!r}" if value else "empty text"
+    if isinstance(value, dict):
+        return "keys with values" if value else "an empty mapping"
+    if isinstance(value, list):
+        return "a list" if value else "an empty list"
+    return f"{value}"

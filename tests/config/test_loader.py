@@ -81,6 +81,16 @@ def problems(text: str, model: type[Section] = Whole) -> list[str]:
         ("title: !!str 5", ["f.yaml:1:8: the tag !!str is refused; write the plain value, in quotes if it is text"]),
         ("title: !python/name:os.system x", ["f.yaml:1:8: the tag !python/name:os.system is refused; "]),
         ("- 1", ["f.yaml:1:1: must be keys with values, not a list"]),
+        ("url:mqtt://anna:hunter2@b", ["f.yaml:1:1: must be keys with values, not the text '***@b'"]),
+        (
+            f"title: x\nparts: s3://KEY:{'hunter2' * 9}@bucket",
+            ["f.yaml:2:8: parts: this must be a list, not the text 's3://***@bucket'"],
+        ),
+        (
+            "title: x\nparts: host=h password='hunter 2' user=a",
+            ["f.yaml:2:8: parts: this must be a list, not the text 'host=h password=*** user=a'"],
+        ),
+        ("title: x\nanna:hunter2@b: 1", ["f.yaml:2:1: ***@b: unknown key"]),
         ("just words", ["f.yaml:1:1: must be keys with values, not the text 'just words'"]),
         ("", ["f.yaml:1:1: the file is empty"]),
         ("# only a comment\n", ["f.yaml:1:1: the file is empty"]),

@@ -77,11 +77,17 @@ def test_the_command_says_what_arrived(server: Server, tmp_path: Path) -> None:
         ("postgresql://anna@db:http/plant", "--postgres: port=http: give the port of one server"),
         ("host=db port=99999", "--postgres: port: "),
         ("host=db user=''", "--postgres: user_name: "),
+        ("postgresql://anna:hunter2 x@db/plant", "unexpected spaces found in …"),
+        ("host=db password=my hunter2", "missing … in connection info"),
+        ("anna:hunter2@db", "give a DSN such as"),
+        ("postgresql://anna:hunter2@[db/plant", "give a DSN such as"),
+        ("postgresql://anna:hunter2/x@db/plant", "--postgres: write / @ : of a password as %2F"),
+        ("postgresql://anna:x@hunter2@db/plant", "--postgres: write / @ : of a password as %2F"),
     ],
 )
 def test_a_database_that_cannot_be_used_is_refused(dsn: str, said: str) -> None:
     done = CliRunner().invoke(main, ["fleet", "simulate", "--postgres", dsn])
-    assert done.exit_code == 2 and said in done.output
+    assert done.exit_code == 2 and said in done.output and "hunter" not in done.output
 
 
 @pytest.mark.parametrize("kind", ["mqtt", "mqtts"])

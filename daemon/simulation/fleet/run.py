@@ -4,6 +4,7 @@ import contextlib
 import math
 import multiprocessing
 import os
+import re
 import threading
 import time
 from collections import Counter
@@ -221,8 +222,13 @@ def database_of(dsn: str, folder: Path) -> PostgresqlConfig:
     try:
         known = _of_environment() | conninfo_to_dict(dsn)
     except psycopg.Error as error:
-        problem = " ".join(str(error).split())
+        # what it quotes may be the password, or a part of it
+        problem = re.sub(r'".*"', "…", " ".join(str(error).split()))
         raise SimulationError(f"--postgres: {problem}: give a DSN such as postgresql://user@host/database") from error
+    if "@" in f"{known.get('host')}{known.get('dbname')}":
+        raise SimulationError(
+            "--postgres: write / @ : of a password as %2F %40 %3A, in postgresql://user@host/database"
+        )
     if (mode := known.get("sslmode", "disable")) not in ("disable", "verify-full"):
         raise SimulationError(f"--postgres: sslmode={mode} is not what a sink does: give disable or verify-full")
     there: dict[str, Any] = {"host": known.get("host", "localhost"), "tls": mode == "verify-full"}
