@@ -42,8 +42,32 @@ from daemon.model_release.active import released
 
 BACKUP_MODE = 0o640
 SHIPPED = Path(config.__file__).parent
+MOUNT_TABLE = Path("/etc/fstab")
 LEFT_BEHIND_S = 86_400.0
 """No back-up takes so long [s]."""
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for back-ups in one that is there; raises BackupError also where a share or stick is not mounted.
+
+    What is written below a mount point without its mount fills the disk of the system, and the next mount hides it.
+    """
+    try:
+        table = MOUNT_TABLE.read_text("utf-8", "replace").splitlines()
+    except OSError:
+        table = []
+    lines = [line.split() for line in table if not line.lstrip().startswith("#")]
+    listed = {words[1].replace("\\040", " ") for words in lines if len(words) > 1}
+    absolute = folder.absolute()
+    for each in (absolute, *absolute.parents):
+        if str(each) in listed and not each.is_mount():
+            raise BackupError(f"{each}: is not mounted, and {MOUNT_TABLE} says that it is a mount point; mount it")
+    try:
+        folder.mkdir(exist_ok=True)
+    except FileNotFoundError as error:
+        raise BackupError(f"{folder.parent}: there is no such folder; mount it or make it") from error
+    except OSError as error:
+        raise BackupError(f"{folder}: this folder for back-ups cannot be made ({error.strerror})") from error
 
 
 def remove_old(folder: Path, machine: str, keep: int, spare: Path | None = None) -> list[Path]:
@@ -65,8 +89,8 @@ def make_backup(configuration: Configuration, config_path: Path, destination: Pa
     if destination.exists():
         raise BackupError(f"{destination} exists already and is left as it is; name a new file")
     partial = destination.with_name(f".{destination.name}.partial")
+    make_folder(destination.parent)
     try:
-        destination.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".toolpoint-backup-", dir=destination.parent) as work:
             _remove_left_behind(Path(work))
             store = Path(work) / "history.sqlite"

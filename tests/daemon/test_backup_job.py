@@ -115,7 +115,7 @@ async def test_the_daemon_that_is_told_to_makes_them_and_says_so(installation):
     assert (said.kind, said.person) == ("backup", "daemon") and str(made) in said.text
 
 
-def test_the_commands(installation):
+def test_the_commands(installation, monkeypatch):
     def toolpoint(*words: str) -> Result:
         return CliRunner().invoke(main, words)
 
@@ -125,6 +125,17 @@ def test_the_commands(installation):
     away = toolpoint("backup", str(installation.folder / "stick"), *config)
     assert away.exit_code == 1 and f"{installation.folder / 'stick'}: there is no such folder; mount it" in away.output
     assert not (installation.folder / "stick").exists()
+    share = installation.folder / "share"  # not mounted: the disk of the system would fill, hidden by the next mount
+    for words in ((str(share / "mill"), "--keep", "2"), (str(share / "mill/b.tar"),)):
+        away = toolpoint("backup", *words, *config)
+        assert away.exit_code == 1 and f"{share}: there is no such folder; mount it or make it" in away.output
+    share.mkdir()
+    monkeypatch.setattr("daemon.backup.making.MOUNT_TABLE", installation.folder / "fstab")
+    (installation.folder / "fstab").write_text(f"# shares\n//nas/b  {share}\tcifs ro 0 0\n", encoding="utf-8")
+    for words in ((str(share / "mill"), "--keep", "2"), (str(share), "--keep", "2"), (str(share / "b.tar"),)):
+        away = toolpoint("backup", *words, *config)
+        assert away.exit_code == 1 and f"{share}: is not mounted, and" in away.output
+    assert not list(share.iterdir())
     made = toolpoint("backup", str(installation.folder / "b.tar"), *config, "--json", str(installation.folder / "j"))
     said = json.loads((installation.folder / "j").read_text(encoding="utf-8"))
     assert made.exit_code == 0 and said["manifest"]["machine"] == "Mill 7 (hall)"

@@ -55,7 +55,7 @@ def backup(destination: Path | None, keep: int | None, config_path: Path, json_p
     DESTINATION is a new file whose name ends in .tar, or a folder, in which the back-up gets a name of its own; without
     it, history.backup.directory. The daemon may run. Passwords and keys are not in it.
     """
-    from daemon.backup.making import make_backup, remove_old
+    from daemon.backup.making import make_backup, make_folder, remove_old
     from daemon.backup.manifest import BackupError
     from daemon.backup.names import backup_name
 
@@ -67,9 +67,9 @@ def backup(destination: Path | None, keep: int | None, config_path: Path, json_p
         destination = configuration.history.backup.directory
     try:
         if folder_wanted:
-            destination.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        refuse(f"{destination}: this folder for back-ups cannot be made ({error.strerror})", FAILED)
+            make_folder(destination)
+    except BackupError as error:
+        refuse(str(error), FAILED)
     into_folder = destination.is_dir()
     if not into_folder and destination.suffix != ".tar":
         refuse(f"{destination}: there is no such folder; mount it or make it, or name a file that ends in .tar", FAILED)
