@@ -81,6 +81,7 @@ def test_the_command_says_what_arrived(server: Server, tmp_path: Path) -> None:
         ("host=db password=my hunter2", "missing … in connection info"),
         ("anna:hunter2@db", "give a DSN such as"),
         ("postgresql://anna:hunter2@[db/plant", "give a DSN such as"),
+        ("host=@nobody port=x", "--postgres: port=x: give the port"),
         ("postgresql://anna:hunter2/x@db/plant", "--postgres: write / @ : of a password as %2F"),
         ("postgresql://anna:x@hunter2@db/plant", "--postgres: write / @ : of a password as %2F"),
     ],

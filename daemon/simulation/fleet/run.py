@@ -225,7 +225,7 @@ def database_of(dsn: str, folder: Path) -> PostgresqlConfig:
         # what it quotes may be the password, or a part of it
         problem = re.sub(r'".*"', "…", " ".join(str(error).split()))
         raise SimulationError(f"--postgres: {problem}: give a DSN such as postgresql://user@host/database") from error
-    if "@" in f"{known.get('host')}{known.get('dbname')}":
+    if "@" in f"{known.get('host')}"[1:] + f"{known.get('dbname')}":  # a socket's name may begin with it
         raise SimulationError(
             "--postgres: write / @ : of a password as %2F %40 %3A, in postgresql://user@host/database"
         )
