@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from config.schema.base import READ_AHEAD_STOP_PATTERN, KeyPath, KeyProblems, Name, Seconds, Section
 
-AxisLetter = Literal["X", "Y", "Z", "A", "B", "C", "U", "V", "W"]
+AxisLetter = Literal["X", "Y", "Z", "U", "V", "W"]
 USUAL_AXES: dict[str, tuple[AxisLetter, int]] = {"x": ("X", 1), "y": ("Y", 2), "z": ("Z", 3)}
 """Address letter and number of the axes whose names say which axis is meant."""
 PROGRAMS = 5
@@ -24,7 +24,7 @@ SHARED_MEMORY = 4
 class GuardAxisConfig(Section):
     """Which axis of the control an axis of the compensation is."""
 
-    letter: AxisLetter = Field(description="its address letter", examples=["Z"])
+    letter: AxisLetter = Field(description="its address letter; A, B and C turn: 1 um is none there", examples=["Z"])
     number: int = Field(ge=1, le=9, description="its axis number: its external offset is #5200 + number", examples=[3])
 
 
