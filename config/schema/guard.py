@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from config.schema.base import READ_AHEAD_STOP_PATTERN, KeyPath, KeyProblems, Name, Seconds, Section
 
-AxisLetter = Literal["X", "Y", "Z", "U", "V", "W"]
+AxisLetter = Literal["X", "Y", "Z", "U", "V", "W", "A", "B", "C"]
 USUAL_AXES: dict[str, tuple[AxisLetter, int]] = {"x": ("X", 1), "y": ("Y", 2), "z": ("Z", 3)}
 """Address letter and number of the axes whose names say which axis is meant."""
 PROGRAMS = 5
@@ -24,7 +24,9 @@ SHARED_MEMORY = 4
 class GuardAxisConfig(Section):
     """Which axis of the control an axis of the compensation is."""
 
-    letter: AxisLetter = Field(description="its address letter; A, B and C turn: 1 um is none there", examples=["Z"])
+    letter: AxisLetter = Field(
+        description="its address letter; no A, B or C, which turn, among six axes or fewer", examples=["Z"]
+    )
     number: int = Field(ge=1, le=9, description="its axis number: its external offset is #5200 + number", examples=[3])
 
 
@@ -92,6 +94,8 @@ class GuardConfig(Section):
         problems: list[tuple[KeyPath, str]] = []
         taken: dict[str | int, str] = {}
         for name, axis in self.axes.items():
+            if axis.letter in "ABC" and len(self.axes) <= 6:
+                problems.append((("axes", name, "letter"), f"{axis.letter} turns: 1 um would be 0.001 degrees there"))
             for key, value in (("letter", axis.letter), ("number", axis.number)):
                 if value in taken:
                     problems.append((("axes", name, key), f"{value} is {taken[value]} already"))
@@ -109,8 +113,7 @@ class GuardConfig(Section):
 
     def number_of(self, axis: str) -> int | None:
         """Return the control's number of an axis, None where nothing says it."""
-        usual = USUAL_AXES.get(axis.lower(), (None, None))[1]
-        return self.axes[axis].number if axis in self.axes else usual
+        return self.axes[axis].number if axis in self.axes else USUAL_AXES.get(axis.lower(), (None, None))[1]
 
     def memory_of(self, axes: int, slopes: int = 0) -> range:
         """Return the macros of the memory for so many axes, of which so many are slopes."""

@@ -345,7 +345,7 @@ def replay_machine(recording: Recording, model_file: Path, record_file: Path) ->
             "file": {"path": ""},
             "channels": [{"name": channel, "column": axis} for axis, channel in axes.items()],
         },
-        "cnc": {"macros": macros, "guard": _guard(tuple(axes)), "axis_positions": _axis_positions(recording)},
+        "cnc": {"macros": macros, "guard": guard_of(tuple(axes)), "axis_positions": _axis_positions(recording)},
         "compensation": {
             "model_file": str(model_file.resolve()),
             "commissioning_file": str(record_file),
@@ -443,11 +443,11 @@ def _macro_map(channels: tuple[str, ...]) -> dict[str, Any]:
     }
 
 
-def _guard(channels: tuple[str, ...]) -> dict[str, Any]:
+def guard_of(channels: tuple[str, ...]) -> dict[str, Any]:
     """Return the settings of a control that has an axis for every channel."""
     axes = {
         name: {"letter": letter, "number": number}
-        for number, (name, letter) in enumerate(zip(channels, "XYZABCUVW", strict=False), start=1)
+        for number, (name, letter) in enumerate(zip(channels, "XYZUVWABC", strict=False), start=1)
     }
     return {"increment_mm": 0.0001, "on_timeout": "continue", "axes": axes}
 

@@ -201,7 +201,7 @@ CHANNEL = {"name": "Z1", "column": "Z1"}
         ("cnc.poll_period_s", 1e308, "cnc.poll_period_s", "at most 31536000"),
         ("history.keep_writes_days", 1e308, "history.keep_writes_days", "at most 36500"),
         ("machine", "m" * 201, "machine", "at most 200 characters"),
-        ("cnc.guard.axes", {"z": {"letter": "B", "number": 4}}, "cnc.guard.axes.z.letter", "'X', 'Y', 'Z', 'U', "),
+        ("cnc.guard.axes", {"z": {"letter": "B", "number": 4}}, "cnc.guard.axes.z.letter", "B turns: 1 um"),
     ],
 )
 def test_what_cannot_work_is_refused_at_its_key(path: str, value: Any, key: str, sentence: str) -> None:

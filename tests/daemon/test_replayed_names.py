@@ -11,8 +11,9 @@ from small_model import model
 from whole_loop import lagged_model
 
 from config.recordings.recording_map import RecordingMap
+from config.schema.guard import GuardConfig
 from daemon.simulation.processes import write_simulation_configuration
-from daemon.simulation.replaying import findings_said, map_of, modelled, replay_machine
+from daemon.simulation.replaying import findings_said, guard_of, map_of, modelled, replay_machine
 from daemon.simulation.simulation import recorded_simulation
 from drivers.clock import ScaledClock
 from drivers.files.recording_csv import read_recording, write_recording
@@ -137,3 +138,10 @@ def test_columns_go_to_the_sensors_of_the_model_by_their_names(tmp_path: Path) -
     assert isinstance(simulated.machine, RecordedMachine)
     codes = simulated.machine.register_codes(SENSOR_IDS)
     assert [code * TMP102_DEGC_PER_LSB for code in codes] == list(given.values())
+
+
+def test_every_channel_of_a_recording_has_an_axis_of_the_played_control() -> None:
+    """A real control's A, B and C turn; with more than six channels they stand for linear axes here."""
+    for count in (1, 5, 6, 9):
+        guard = GuardConfig.model_validate(guard_of(tuple(f"c{number}" for number in range(count))))
+        assert len({axis.letter for axis in guard.axes.values()}) == count

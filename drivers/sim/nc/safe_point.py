@@ -17,7 +17,7 @@ from drivers.sim.contract import Macros
 from drivers.sim.nc.custom_macro import Interpreter, MacroControl, MacroProgram, compile_programs
 from drivers.sim.nc.sinumerik import SinumerikControl, SinumerikInterpreter, SinumerikProgram, compile_archive
 
-LETTERS: tuple[AxisLetter, ...] = ("X", "Y", "Z", "U", "V", "W")
+LETTERS: tuple[AxisLetter, ...] = ("X", "Y", "Z", "U", "V", "W", "A", "B", "C")
 MM_PER_M = 1000.0
 SIMULATED_INCREMENT_MM = 0.0001
 """Offsets of the simulated control, where no configuration says otherwise (IS-C) [mm]."""
