@@ -384,6 +384,7 @@ def test_a_terminal_that_goes_or_a_stop_leaves_neither_half_a_restoration_nor_ha
         script = f"""
 import os, signal, sys, time
 from daemon.backup import making, restoring
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # where the tests are started by `nohup`
 {broken_off} = lambda *_: (os.kill(os.getpid(), signal.{by}), time.sleep(60))
 from daemon.cli import main
 main(sys.argv[1:])
