@@ -329,11 +329,14 @@ def test_another_model_waits_while_what_it_imputes_may_be_off(imputed_um, waits)
         trace=SimpleNamespace(first_byte=time), reference_id="r", imputed=(1,), in_domain=True, confidence=1.0,
         held_s=0.0, fading_um=0.0,
     )  # fmt: skip
-    cleansing = SimpleNamespace(least=0.3, full=0.9, window_s=60.0, jumped_k=None, counted_degc=lambda *_: None)
+    levels = SimpleNamespace(jumps=())
+    cleansing = SimpleNamespace(
+        least=0.3, full=0.9, window_s=60.0, jumped_k=None, counted_degc=lambda *_: None, levels=levels
+    )
     positions = SimpleNamespace(trust=lambda *_: (1.0, ""), behind=lambda *_: None)
     answer = SimpleNamespace(confidence=1.0, imputed_um=imputed_um), None
-    to = SimpleNamespace(model=None, waits="", estimate=lambda *_: answer)
-    said = _waits_for(to, estimate, estimate, cleansing, positions, "r", None)
+    to = SimpleNamespace(model=None, waits="", estimate=lambda *_: answer, drifted_before=lambda *_: False)
+    said = _waits_for(to, estimate, estimate, cleansing, positions, SimpleNamespace(time=time), None)
     assert ("more than 1 um off" in said) is waits and bool(said) is waits
 
 
