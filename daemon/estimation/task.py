@@ -39,10 +39,11 @@ from daemon.telemetry.metrics import Telemetry
 from drivers.clock import Clock
 from models.align import RollingMean
 from models.records import FloatArray, Instant, MachineTemperatures, Reference, TemperatureCycle, ThermalErrorEstimate
-from models.sensor_levels import unshifted
+from models.sensor_levels import UNKNOWN_K, unshifted
 from models.thermal.estimation import UNSURE_UM, Estimation, Machine
 from models.thermal.family import ThermalModel
 from models.thermal.features import BoolArray
+from models.thermal.watch import DEPARTURE
 
 log = structlog.get_logger(__name__)
 TURNS_OF_OUTPUT = 4
@@ -101,8 +102,7 @@ class ThermalTask:
         self._cleansing.levels, self._since.excluded = self._levels.restored(), self._levels.excluded_before()
         self._cleansing.units.recall(self._levels.units)
         self._cleansing.memory.recall(self._levels.inputs)
-        self._tool_um_per_k = _tool_um_per_k(configuration)
-        self._heard = np.zeros(len(self._sensor_ids), dtype=bool)
+        self._tool_um_per_k, self._heard = _tool_um_per_k(configuration), np.zeros(len(self._sensor_ids), dtype=bool)
         self._say_faults = RateLimit[TemperatureCycle](_log_faults)
 
     @property
@@ -169,7 +169,7 @@ class ThermalTask:
         self._since.take_up(reference, message.sensors)
         self._positions.take_up(self._since.positions_mm)
         if self._online is not None:
-            await self._count_from_reference(self._online, reference, self._taken_up_s)
+            await self._count_from_reference(self._online, reference, self._taken_up_s, {})
         self._reference = reference
 
     async def use_model(self, model: ThermalModel | None, *, at_once: bool = False) -> None:
@@ -178,14 +178,15 @@ class ThermalTask:
             now_s = self._clock.now().monotonic_s
             await asyncio.to_thread(online.prepare, now_s)
             if self._reference is not None:
-                await self._count_from_reference(online, self._reference, now_s)
+                wrong = {} if at_once else _wrong_before(self._cleansing, self._sensor_ids)
+                await self._count_from_reference(online, self._reference, now_s, wrong)
         at_once = at_once or self._online is None or online is None or self._reference is None
         self._online, self._next = (online, None) if at_once else (self._online, online)
         self._follows = None if at_once else self._follows
 
-    async def _count_from_reference(self, online: ModelInUse, reference: Reference, now_s: float) -> None:
-        known = (self._since.excluded, self._since.of_model, self._positions.at_reference(reference.degc))
-        await asyncio.to_thread(online.set_reference, reference, now_s, *known)
+    async def _count_from_reference(self, to: ModelInUse, at: Reference, now_s: float, wrong: dict[int, str]) -> None:
+        known = (wrong | self._since.excluded, self._since.of_model, self._positions.at_reference(at.degc))
+        await asyncio.to_thread(to.set_reference, at, now_s, *known)
 
     def inhibit(self) -> str:
         """Return why the model cannot be followed yet, '' when it can or when there is none."""
@@ -415,6 +416,11 @@ def _waits_for(
         if answer is not None and answer[0].imputed_um > UNSURE_UM:  # which would stay when the sensor is back
             to.waits = "what it imputes for sensors that are away may be more than 1 um off"
     return to.waits
+
+
+def _wrong_before(cleansing: Cleansing, sensor_ids: tuple[int, ...]) -> dict[int, str]:
+    """Return who was found wrong until a reference: lags from the history hold that until they are set right."""
+    return {sensor_ids[i]: DEPARTURE for i in np.flatnonzero(cleansing.levels.lasting_k > UNKNOWN_K / 2)}
 
 
 def _machine(temperatures: TemperaturesConfig) -> Machine:
