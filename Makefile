@@ -27,9 +27,9 @@ plant: $(VENV)/.installed
 
 install: $(VENV)/.installed
 
-# Two processes more than there are cores, because tests on wires mostly wait. The tests of one file stay in one process,
+# Three processes more than there are cores, because tests on wires mostly wait. The tests of one file stay in one process,
 # so that they share what they set up, and the longest files come first (tests/conftest.py).
-PROCESSES ?= $(shell expr $$(nproc) + 2)
+PROCESSES ?= $(shell expr $$(nproc) + 3)
 # What is compiled is kept: every process of the tests would compile and rewrite all of them.
 PYTEST = $(BIN)/python -m compileall -q config daemon drivers models tests/support && \
   PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(PROCESSES) --dist loadfile

@@ -103,7 +103,7 @@ def test_without_a_view_and_with_sensors_on_another_wire_the_result_is_told_too(
 
 def test_the_spindle_speed_follows_the_pockets_over_real_wires(tmp_path: Path) -> None:
     """Sensors, bearings, lobes, verification, macros, the shipped NC program and the simulated spindle, as shipped."""
-    words = ("demo", "--headless", "--spindle-speed", "--minutes", 12, "--speed", 15, "--directory", tmp_path / "run")
+    words = ("demo", "--headless", "--spindle-speed", "--minutes", 15, "--speed", 15, "--directory", tmp_path / "run")
     with toolpoint(*words, "--json", tmp_path / "result.json") as demo:
         said = demo.communicate(timeout=3 * PATIENCE_S)[1]
     tuned = json.loads((tmp_path / "result.json").read_text("utf-8"))["spindle_speed"]
