@@ -385,6 +385,7 @@ def test_a_terminal_that_goes_or_a_stop_leaves_neither_half_a_restoration_nor_ha
 import os, signal, sys, time
 from daemon.backup import making, restoring
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # where the tests are started by `nohup`
+signal.pthread_sigmask(signal.SIG_UNBLOCK, {{signal.SIGHUP}})  # after a test of `run` in the same process
 {broken_off} = lambda *_: (os.kill(os.getpid(), signal.{by}), time.sleep(60))
 from daemon.cli import main
 main(sys.argv[1:])

@@ -188,7 +188,8 @@ def test_a_steady_level_always_counts_once_enough_samples_have_agreed(
     period_s=st.floats(1.0, 300.0),
 )
 def test_no_single_sample_above_the_noise_ever_counts(samples: list[float | None], period_s: float) -> None:
-    """Whatever came before: what counts and is not near what counted has a sample before it that agrees."""
+    """Whatever came before: what counts and is not near what counted agrees with the sample before it, or goes on
+    with it in a line from what counted."""
     state, before, accepted, accepted_at_s = settled(), None, 20.0, 0.0
     for number, degc in enumerate(samples, start=1):
         now_s = number * period_s
@@ -198,7 +199,13 @@ def test_no_single_sample_above_the_noise_ever_counts(samples: list[float | None
         if quality is Quality.GOOD:
             assert degc is not None
             near = abs(degc - accepted) <= RULES.noise_degc
-            assert near or (before is not None and abs(degc - before) <= RULES.agree_within_degc)
+            steps = [0.0] if before is None else [0.0, *((before - accepted) / n for n in range(1, number))]
+            agrees = [
+                abs(degc - before - step) <= RULES.agree_within_degc + 1e-9
+                for step in steps
+                if before is not None and abs(step) <= RULES.max_change_degc
+            ]
+            assert near or any(agrees)
             accepted, accepted_at_s = degc, now_s
         elif quality is Quality.HELD:
             assert result.degc[0] == accepted
