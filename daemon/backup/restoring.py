@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from config.files import sync_folder, write_whole
 from config.loader import ConfigurationError, load_configuration, parse_yaml_model, with_absolute_paths
 from config.records.commissioning import CommissioningError, load_commissioning
 from config.records.release_record import ReleaseRecordError, load_release_record
@@ -193,30 +194,21 @@ def _undo_broken_off(store: Path) -> None:
 
 def _write_plan(begun: Path, placed: Iterable[Path], kept: Iterable[tuple[Path, Path]]) -> None:
     """Write down what is about to be exchanged, so that it can be undone after a power cut."""
-    begun.mkdir(mode=0o700)
     plan = {"placed": [str(path) for path in placed], "kept": [(str(path), str(aside)) for path, aside in kept]}
-    with _held(begun) as folder:
-        with (folder / "plan.partial").open("x", encoding="utf-8") as file:
-            json.dump(plan, file)
-            file.flush()
-            os.fsync(file.fileno())
-        (folder / "plan.partial").rename(folder / PLAN_NAME)
-        _write_through(folder)
-    _write_through(begun.parent)
+    begun.mkdir(mode=0o700)
+    try:
+        with _held(begun) as folder:
+            write_whole(folder / PLAN_NAME, json.dumps(plan))
+        sync_folder(begun.parent)
+    except BaseException:  # nothing is exchanged yet: a full disk must not keep the daemon from its store
+        shutil.rmtree(begun)
+        raise
 
 
 def _forget_plan(begun: Path) -> None:
     with _held(begun) as folder:
         (folder / PLAN_NAME).unlink(missing_ok=True)
     shutil.rmtree(begun)
-
-
-def _write_through(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _configuration(archive: Archive, config_path: Path) -> Configuration:
@@ -363,7 +355,7 @@ def _put_in_place(
                 # who may write in the folder of the models may do so in that of its releases
                 _place(folder / name, path, stat.S_IMODE(path.parent.stat().st_mode))
         for each in {path.parent for path in placed}:
-            _write_through(each)
+            sync_folder(each)
     except BaseException:  # also when a person breaks it off: half a store must not stand in the place of a whole one
         _undo(placed, kept)
         _forget_plan(begun)
@@ -412,7 +404,7 @@ def _place(source: Path, path: Path, folder_mode: int = 0o755) -> None:
         _make_readable(path, folder_mode)
         for each in sorted(source.iterdir()):
             _place(each, path / each.name)
-        _write_through(path)
+        sync_folder(path)
         return
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     with os.fdopen(descriptor, "wb") as target, source.open("rb") as content:

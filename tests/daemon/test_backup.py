@@ -433,6 +433,22 @@ main(sys.argv[1:])
     assert not list(folder.rglob(".toolpoint-restore-*"))
 
 
+def test_a_disk_too_full_for_the_plan_of_a_restoration_keeps_no_daemon_away(installation, monkeypatch):
+    path = installation.backup()
+
+    def full(file: Path, _content: str) -> None:
+        file.with_name("plan.partial").write_text("{", encoding="utf-8")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("daemon.backup.restoring.write_whole", full)
+    with pytest.raises(BackupError, match="No space left on device"):
+        restore(path, installation.config_path, person="anna", replace=True)
+    assert not list(installation.folder.rglob(".toolpoint-restore-*"))
+    writer = installation.writer()
+    writer.start()
+    writer.close()
+
+
 @pytest.mark.parametrize("broken_off", [OSError(28, "No space left on device"), KeyboardInterrupt()])
 def test_half_a_restoration_is_undone(installation, monkeypatch, broken_off):
     path = installation.backup()
