@@ -144,7 +144,7 @@ def _loaded(
         if not lenient:
             return LoadedModel(model=None, inhibit=unreleased, record=record)
     warning = unreleased and (
-        f"right for a simulation only, on a real machine take allow_writable_model_directory out: {unreleased}"
+        f"{wanted.kind} for a simulation only, on a real machine take allow_writable_model_directory out: {unreleased}"
     )
     return LoadedModel(
         model=model, inhibit="", record=record, sha256=sha256_of(content), signed_by=signed_by, warning=warning

@@ -70,7 +70,7 @@ def test_one_that_the_daemon_could_change_is_refused_unless_the_bench_says_so(fo
     opened = open_planning(configured(folder, lenient=True), own_account())
     assert opened.inhibit == ""
     assert opened.model is not None
-    assert "WARNING: right for a simulation only, on a real machine take allow" in opened.model.in_words()
+    assert "WARNING: bearing model for a simulation only, on a real machine take allow" in opened.model.in_words()
 
 
 def test_a_release_is_recorded_audited_and_can_be_taken_back(folder: Path) -> None:

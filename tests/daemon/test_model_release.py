@@ -131,7 +131,7 @@ def test_the_key_for_test_benches_lets_it_pass_and_says_so(folder):
     (folder / "models").chmod(0o777)
     found = load_released(configuration, own_account())
     assert found.model is not None and found.record is None
-    assert "WARNING: right for a simulation only" in found.in_words() and found.snapshot().warning
+    assert "WARNING: thermal model for a simulation only" in found.in_words() and found.snapshot().warning
 
 
 def test_the_key_does_not_excuse_a_file_that_differs_from_its_record(folder):
