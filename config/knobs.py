@@ -12,7 +12,23 @@ from pydantic import BaseModel, IPvAnyAddress
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from config.schema.base import FORMS
+from config.schema.base import (
+    AGENT_PATTERN,
+    AXIS_PATTERN,
+    CHANNEL_PATTERN,
+    ENDPOINT_PATTERN,
+    FOLDER_OR_BUCKET_PATTERN,
+    HOST_PATTERN,
+    MAIL_ADDRESS_PATTERN,
+    NAME_PATTERN,
+    NUMBER_OR_RANGE_PATTERN,
+    RANGE_PATTERN,
+    READ_AHEAD_STOP_PATTERN,
+    SERVER_PATTERN,
+    TOPIC_LEVEL_PATTERN,
+    TOPIC_PATTERN,
+    WEBHOOK_PATTERN,
+)
 
 
 class Shape(StrEnum):
@@ -46,6 +62,25 @@ class Knob:
     """Bounds in words, empty without any."""
     examples: tuple[Any, ...]
 
+
+FORMS = {
+    NAME_PATTERN: "letters from A to Z, digits and underscores, a letter first",
+    AXIS_PATTERN: "the letter of an axis, such as Z, or a letter and a digit",
+    CHANNEL_PATTERN: "text on one line, without a blank at either end",
+    RANGE_PATTERN: "a range such as 7-12",
+    NUMBER_OR_RANGE_PATTERN: "a number or a range, such as 120 or 500-549",
+    READ_AHEAD_STOP_PATTERN: "G53, or an M code such as M150",
+    TOPIC_PATTERN: "a topic without the wildcards + and #",
+    TOPIC_LEVEL_PATTERN: "one level of a topic, without / + #",
+    AGENT_PATTERN: "an address such as http://192.0.2.10:5000",
+    HOST_PATTERN: "a name or an address, without a port, brackets and blanks",
+    SERVER_PATTERN: "a name or an address, without a port, brackets and blanks, or the folder of a socket from /",
+    WEBHOOK_PATTERN: "an address such as https://chat.plant.example/hooks/42, without blanks, and no @ in its host",
+    MAIL_ADDRESS_PATTERN: "an address such as maintenance@plant.example, of ASCII characters",
+    FOLDER_OR_BUCKET_PATTERN: "a folder from / such as /srv/plant/history, or s3://plant/history",
+    ENDPOINT_PATTERN: "an address such as opc.tcp://192.0.2.10:4840/path",
+}
+"""What the patterns ask for, in words."""
 
 _KINDS: dict[Any, str] = {str: "text", int: "whole number", float: "number", bool: "true or false", Path: "path"}
 _KINDS[IPvAnyAddress] = "IP address"
