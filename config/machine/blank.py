@@ -2,14 +2,14 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from config.loader import load_yaml_model, with_absolute_paths
 from config.machine.spindle import Constants, MaterialDescription, SegmentDescription
 from config.machine.spindle_chain import ChainBuilder
-from config.schema.base import KeyPath, KeyProblems, Name, Section
+from config.schema.base import KeyPath, Name, Problems, Section, checked
 from models.dynamics.beam import Segment
 
 Responses = Annotated[list[Path], Field(min_length=1)]
@@ -35,12 +35,11 @@ class BlankTest(Section):
     structural_damping: float = Field(0.002, ge=0, lt=0.5, description="zeta of the blank's E (1 + j zeta)")
     materials: dict[Name, MaterialDescription] = Field({}, description="materials beside the shipped ones")
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    @checked
+    def _consistent(self) -> Problems:
         if self.second_point_mm >= self.blank.length_mm:
             sentence = f"must lie between the tip and the holder, {self.blank.length_mm:g} mm behind it"
-            raise KeyProblems([(("second_point_mm",), sentence)])
-        return self
+            yield ("second_point_mm",), sentence
 
 
 class FlutedTool(Constants):
@@ -55,18 +54,16 @@ class FlutedTool(Constants):
     stickout_mm: float = Field(ge=0.1, le=1000, description="length out of the holder, flutes included [mm]")
     structural_damping: float = Field(0.002, ge=0, lt=0.5, description="zeta of E (1 + j zeta)")
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        problems: list[tuple[KeyPath, str]] = [] if self.material else self._missing()
+    @checked
+    def _consistent(self) -> Problems:
+        if not self.material:
+            yield from self._missing()
         if self.flute_length_mm > self.stickout_mm:
             sentence = f"{self.flute_length_mm:g} mm are longer than the tool stands out, {self.stickout_mm:g} mm"
-            problems.append((("flute_length_mm",), sentence))
+            yield ("flute_length_mm",), sentence
         if (bends_mm := self.equivalent_ratio * self.diameter_mm) < THINNEST_MM:
             sentence = f"bends like a cylinder of {bends_mm:.2g} mm, and a beam is computed from {THINNEST_MM:g} mm on"
-            problems.append((("diameter_mm",), sentence))
-        if problems:
-            raise KeyProblems(problems)
-        return self
+            yield ("diameter_mm",), sentence
 
     def sections(self) -> list[SegmentDescription]:
         """Return the tool as a chain of cylinders from the tip backwards."""

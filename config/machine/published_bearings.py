@@ -3,14 +3,13 @@
 import csv
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from config.loader import load_yaml_model
 from config.machine.spindle import Origin
-from config.schema.base import KeyPath, KeyProblems, Section
+from config.schema.base import Problems, Section, checked
 from models.dynamics.bearings import GROUPS, KINDS, parameters_of
 from models.dynamics.identification import FIXED
 from models.model_file import ModelError
@@ -38,22 +37,15 @@ class BoundsFile(Section):
 
     bounds: dict[str, BoundDescription] = Field(description="kt, ct, kr, cr, or a name such as kt_34")
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        problems: list[tuple[KeyPath, str]] = [
-            (("bounds", name), f"is no bearing property; write {', '.join(KINDS)}, or one of them, _ and a group")
-            for name in self.bounds
-            if name.partition("_")[0] not in KINDS or name.endswith("_")
-        ]
-        problems += [
-            (("bounds", name, "highest"), f"must lie above lowest {each.lowest:g}")
-            for name, each in self.bounds.items()
-            if each.highest <= each.lowest
-        ]
-        problems += [(("bounds",), f"{kind} is missing") for kind in KINDS if kind not in self.bounds]
-        if problems:
-            raise KeyProblems(problems)
-        return self
+    @checked
+    def _consistent(self) -> Problems:
+        for name, each in self.bounds.items():
+            if name.partition("_")[0] not in KINDS or name.endswith("_"):
+                sentence = f"is no bearing property; write {', '.join(KINDS)}, or one of them, _ and a group"
+                yield ("bounds", name), sentence
+            if each.highest <= each.lowest:
+                yield ("bounds", name, "highest"), f"must lie above lowest {each.lowest:g}"
+        yield from ((("bounds",), f"{kind} is missing") for kind in KINDS if kind not in self.bounds)
 
 
 def data_folder() -> Path:

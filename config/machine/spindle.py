@@ -2,14 +2,15 @@
 
 import json
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
-from typing import Literal, Self
+from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from config.files import sha256_of
 from config.loader import load_yaml_model
-from config.schema.base import KeyPath, KeyProblems, Name, Section
+from config.schema.base import Name, Problems, Section, checked, repeated
 
 Origin = Literal["published", "derived", "fitted", "assumed", "measured", "design"]
 Rotary = Literal["correct", "published"]
@@ -44,12 +45,11 @@ class MaterialDescription(Section):
     origin: Origin | None = Field(None, description="where the numbers come from")
     note: str | None = Field(None, description="what a reader should know about them")
 
-    @model_validator(mode="after")
-    def _one_form(self) -> Self:
+    @checked
+    def _one_form(self) -> Problems:
         laminate = (self.G_zx_gpa is not None, self.G_zy_gpa is not None)
         if (self.G_gpa is None) != all(laminate) or any(laminate) != all(laminate):
-            raise KeyProblems([((), "give G_gpa, or both G_zx_gpa and G_zy_gpa")])
-        return self
+            yield (), "give G_gpa, or both G_zx_gpa and G_zy_gpa"
 
 
 class Constants(Section):
@@ -61,22 +61,20 @@ class Constants(Section):
     density_g_cm3: float | None = Field(None, ge=0.01, le=25, description="density [g/cm^3]")
     material: str | None = Field(None, description="name of a material, shipped or under `materials`")
 
-    def _missing(self) -> list[tuple[KeyPath, str]]:
+    def _missing(self) -> Problems:
         """Return what lacks when no material stands beside the constants."""
         lacking = [name for name in OWN_CONSTANTS if getattr(self, name) is None]
-        if not lacking:
-            return []
-        return [((), f"{' and '.join(lacking)} missing: write all of {', '.join(OWN_CONSTANTS)}, or name a material")]
+        if lacking:
+            yield (), f"{' and '.join(lacking)} missing: write all of {', '.join(OWN_CONSTANTS)}, or name a material"
 
 
 class _Tube(Constants):
     """A tube whose constants are complete by themselves."""
 
-    @model_validator(mode="after")
-    def _complete(self) -> Self:
-        if self.material is None and (problems := self._missing()):
-            raise KeyProblems(problems)
-        return self
+    @checked
+    def _complete(self) -> Problems:
+        if self.material is None:
+            yield from self._missing()
 
 
 class Ring(_Tube):
@@ -114,49 +112,38 @@ class SegmentDescription(Constants):
     origin: Origin | None = Field(None, description="where the numbers come from")
     note: str | None = Field(None, description="what a reader should know about them")
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        problems: list[tuple[KeyPath, str]] = []
+    @checked
+    def _consistent(self) -> Problems:
         if self.inner_mm >= self.outer_mm:
-            problems.append(
-                (("inner_mm",), f"inner {self.inner_mm:g} mm must be smaller than outer_mm {self.outer_mm:g} mm")
-            )
+            yield ("inner_mm",), f"inner {self.inner_mm:g} mm must be smaller than outer_mm {self.outer_mm:g} mm"
         if self.ring and self.ring.outer_mm <= self.outer_mm:
             sentence = f"a ring sits on the segment, so it must be larger than outer_mm {self.outer_mm:g} mm"
-            problems.append((("ring", "outer_mm"), sentence))
+            yield ("ring", "outer_mm"), sentence
         if self.core and self.core.inner_mm >= self.inner_mm:
             sentence = f"a core sits in the bore, so it must be smaller than inner_mm {self.inner_mm:g} mm"
-            problems.append((("core", "inner_mm"), sentence))
-        if problems := [*problems, *self._form_problems()]:
-            raise KeyProblems(problems)
-        return self
+            yield ("core", "inner_mm"), sentence
+        yield from self._form_problems()
 
-    def _form_problems(self) -> list[tuple[KeyPath, str]]:
+    def _form_problems(self) -> Problems:
         given = [name for name in ("material", "mixture", "layers") if getattr(self, name) is not None]
         if len(given) > 1:
-            return [((given[1],), f"give one of {' and '.join(given)}")]
+            yield (given[1],), f"give one of {' and '.join(given)}"
+            return
         if not given:
-            return self._missing()
-        problems: list[tuple[KeyPath, str]] = []
+            yield from self._missing()
         if self.mixture is not None:
-            problems += [
-                (("mixture", name), f"a volume ratio is not negative, got {ratio:g}")
-                for name, ratio in self.mixture.items()
-                if ratio < 0.0
-            ]
+            for name, ratio in self.mixture.items():
+                if ratio < 0.0:
+                    yield ("mixture", name), f"a volume ratio is not negative, got {ratio:g}"
             if abs(sum(self.mixture.values()) - 1.0) > RATIO_SUM:
-                problems.append(
-                    (("mixture",), f"volume ratios must sum up to 1, not to {sum(self.mixture.values()):g}")
-                )
-        inner = self.inner_mm
-        for index, layer in enumerate(self.layers or ()):
-            if layer.outer_mm <= inner:
-                problems.append((("layers", index, "outer_mm"), f"must be larger than what lies inside, {inner:g} mm"))
-            inner = layer.outer_mm
-        if self.layers and not problems and abs(inner - self.outer_mm) > 1e-6:
-            sentence = f"the outermost layer ends at {inner:g} mm, but outer_mm is {self.outer_mm:g} mm"
-            problems.append((("layers", len(self.layers) - 1, "outer_mm"), sentence))
-        return problems
+                yield ("mixture",), f"volume ratios must sum up to 1, not to {sum(self.mixture.values()):g}"
+        edges = [self.inner_mm, *(layer.outer_mm for layer in self.layers or ())]
+        within = [index for index, (inner, outer) in enumerate(pairwise(edges)) if outer <= inner]
+        for index in within:
+            yield ("layers", index, "outer_mm"), f"must be larger than what lies inside, {edges[index]:g} mm"
+        if self.layers and not within and abs(edges[-1] - self.outer_mm) > 1e-6:
+            sentence = f"the outermost layer ends at {edges[-1]:g} mm, but outer_mm is {self.outer_mm:g} mm"
+            yield ("layers", len(self.layers) - 1, "outer_mm"), sentence
 
 
 class Springs(Section):
@@ -221,38 +208,28 @@ class SpindleDescription(Section):
     holder: Body | None = Field(None, description="the tool holder")
     tool: Body | None = Field(None, description="the tool")
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        problems: list[tuple[KeyPath, str]] = []
+    @checked
+    def _consistent(self) -> Problems:
         length = sum(segment.length_mm for segment in self.segments)
         for index, bearing in enumerate(self.bearings or ()):
             if bearing.position_mm > length + 1e-6:
                 sentence = f"{bearing.position_mm:g} mm lies outside the shaft, which is {length:g} mm long"
-                problems.append((("bearings", index, "position_mm"), sentence))
+                yield ("bearings", index, "position_mm"), sentence
         for index, joint in enumerate(self.joints):
             if joint.after_segment >= len(self.segments):
                 sentence = f"must lie between two segments: 1 to {len(self.segments) - 1}"
-                problems.append((("joints", index, "after_segment"), sentence))
-        places = [joint.after_segment for joint in self.joints]
-        problems += [
-            (("joints", index, "after_segment"), f"there is a joint after segment {place} already")
-            for index, place in enumerate(places)
-            if place in places[:index]
-        ]
+                yield ("joints", index, "after_segment"), sentence
+        for index, place in repeated(joint.after_segment for joint in self.joints):
+            yield ("joints", index, "after_segment"), f"there is a joint after segment {place} already"
         if self.tool and not self.holder:
-            problems.append((("tool",), "a tool needs a holder; describe it under `holder`"))
+            yield ("tool",), "a tool needs a holder; describe it under `holder`"
         if self.bearings_identified_with and self.rigid_rotary_inertia is None:
             sentence = "bearing properties identified with a setting need it stated: write rigid_rotary_inertia, too"
-            problems.append((("bearings_identified_with",), sentence))
+            yield ("bearings_identified_with",), sentence
         for name in ("holder", "tool"):
             body = getattr(self, name)
             if body and body.joint and not (body.joint.kt_n_per_m > 0.0 and body.joint.kr_nm_per_rad > 0.0):
-                problems.append(
-                    ((name, "joint"), "kt_n_per_m and kr_nm_per_rad must be above 0, or leave the joint out")
-                )
-        if problems:
-            raise KeyProblems(problems)
-        return self
+                yield (name, "joint"), "kt_n_per_m and kr_nm_per_rad must be above 0, or leave the joint out"
 
     def shaft_sha256(self) -> str:
         """Return a checksum of the shaft, on which bearings that were identified with it depend: of no holder or tool.

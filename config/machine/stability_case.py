@@ -3,12 +3,12 @@
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag
 
 from config.loader import load_yaml_model, with_absolute_paths
-from config.schema.base import KeyPath, KeyProblems, Section
+from config.schema.base import Problems, Section, checked
 from models.errors import StabilityError
 from models.stability.cutting_coefficients import MATERIALS
 from models.stability.milling import Cut, MillingMode, engagement_rad
@@ -34,19 +34,18 @@ class ModeCase(Section):
         description="[re, im] of r in H(s) = sum of r/(s-p) + conjugate, p = -zeta w + j w sqrt(1-zeta^2) [m/(N s)]",
     )
 
-    @model_validator(mode="after")
-    def _one_size(self) -> Self:
+    @checked
+    def _one_size(self) -> Problems:
         given = [name for name in ("mass_kg", "stiffness_n_per_m", "residue") if getattr(self, name) is not None]
         if len(given) != 1:
             found = " and ".join(given) or "none"
-            raise KeyProblems([((), f"give one of mass_kg, stiffness_n_per_m and residue, not {found}")])
-        if self.residue is not None and not any(self.residue):
-            raise KeyProblems([(("residue",), "a residue of [0, 0] is no mode; remove the mode")])
+            yield (), f"give one of mass_kg, stiffness_n_per_m and residue, not {found}"
+        elif self.residue is not None and not any(self.residue):
+            yield ("residue",), "a residue of [0, 0] is no mode; remove the mode"
         size = 0.0 if self.residue is None else math.hypot(*self.residue)
         if self.residue is not None and not SMALLEST_RESIDUE <= size <= LARGEST_RESIDUE:
             sentence = f"{size:g} m/(N s) is no residue of a machine; it is 1 over (2 mass angular frequency)"
-            raise KeyProblems([(("residue",), sentence)])
-        return self
+            yield ("residue",), sentence
 
 
 class DirectionCase(Section):
@@ -67,13 +66,12 @@ class DirectionCase(Section):
         False, description="take the units of frf as stated, although no tool point seems to have such a response"
     )
 
-    @model_validator(mode="after")
-    def _one_form(self) -> Self:
+    @checked
+    def _one_form(self) -> Problems:
         if sum(given is not None for given in (self.modes, self.frf, self.spindle)) != 1:
-            raise KeyProblems([((), "give one of modes, frf and spindle; a direction that does not move is `rigid`")])
-        if self.trust_units and self.frf is None:
-            raise KeyProblems([(("trust_units",), "belongs to frf; modes have no units to trust")])
-        return self
+            yield (), "give one of modes, frf and spindle; a direction that does not move is `rigid`"
+        elif self.trust_units and self.frf is None:
+            yield ("trust_units",), "belongs to frf; modes have no units to trust"
 
 
 def _form(value: Any) -> str:
@@ -143,61 +141,56 @@ class StabilityCase(Section):
     )
     uncertainty: UncertaintyCase = Field(UncertaintyCase(), description="how far these numbers may be off (--band)")
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        problems: list[tuple[KeyPath, str]] = []
+    @checked
+    def _consistent(self) -> Problems:
         if self.milling != "slot" and self.radial_depth_mm is None:
-            problems.append((("milling",), "up- and down-milling need radial_depth_mm"))
+            yield ("milling",), "up- and down-milling need radial_depth_mm"
         else:
             try:
                 engagement_rad(MillingMode(self.milling), self.radial_depth_mm or self.diameter_mm, self.diameter_mm)
             except StabilityError as error:
-                problems.append((("radial_depth_mm",), str(error)))
-        problems += self._pitch_problems()
+                yield ("radial_depth_mm",), str(error)
+        yield from self._pitch_problems()
         by_name = self.material is not None
         by_value = (self.kt_n_per_m2 is not None, self.kr_ratio is not None)
         if by_name and any(by_value):
-            problems.append((("material",), "give the material or kt_n_per_m2 and kr_ratio, not both"))
+            yield ("material",), "give the material or kt_n_per_m2 and kr_ratio, not both"
         elif not by_name and not all(by_value):
-            problems.append(((), "give kt_n_per_m2 and kr_ratio, or a material that is known"))
+            yield (), "give kt_n_per_m2 and kr_ratio, or a material that is known"
         elif by_name and self.material not in MATERIALS:
-            problems.append((("material",), f"{self.material!r} is not known; known are {', '.join(MATERIALS)}"))
+            yield ("material",), f"{self.material!r} is not known; known are {', '.join(MATERIALS)}"
         if self.x == "rigid" and self.y == "rigid":
-            problems.append((("x",), "x and y are both rigid, so nothing can chatter; give modes or frf for one"))
-        problems += self._spindle_problems()
-        if problems:
-            raise KeyProblems(problems)
-        return self
+            yield ("x",), "x and y are both rigid, so nothing can chatter; give modes or frf for one"
+        yield from self._spindle_problems()
 
-    def _spindle_problems(self) -> list[tuple[KeyPath, str]]:
+    def _spindle_problems(self) -> Problems:
         named = [
             name
             for name in ("x", "y", "xy", "yx")
             if isinstance(each := getattr(self, name), DirectionCase) and each.spindle is not None
         ]
-        if not named or (named == ["x", "y"] and self.xy == self.yx == "rigid"):
-            return []
-        sentence = (
-            "a spindle is computed in both axes: give x and y a spindle, the same file where they are alike, and "
-        )
-        return [((named[0], "spindle"), sentence + "leave xy and yx out")]
+        if named and not (named == ["x", "y"] and self.xy == self.yx == "rigid"):
+            sentence = (
+                "a spindle is computed in both axes: give x and y a spindle, the same file where they are alike, and "
+                "leave xy and yx out"
+            )
+            yield (named[0], "spindle"), sentence
 
     @property
     def rotating(self) -> bool:
         """Whether the dynamics are those of a spindle that is computed at each speed."""
         return isinstance(self.x, DirectionCase) and self.x.spindle is not None
 
-    def _pitch_problems(self) -> list[tuple[KeyPath, str]]:
+    def _pitch_problems(self) -> Problems:
         if self.pitch_deg is None:
-            return []
+            return
         if len(self.pitch_deg) != self.teeth:
             words = f"{len(self.pitch_deg)} pitches for {self.teeth} teeth; give one angle for each tooth"
-            return [(("pitch_deg",), words)]
-        if not all(0.0 < pitch < math.inf for pitch in self.pitch_deg):
-            return [(("pitch_deg",), "every pitch is an angle above 0 deg")]
-        if abs(sum(self.pitch_deg) - TURN_DEG) > TURN_OFF_DEG:
-            return [(("pitch_deg",), f"the pitches add up to {sum(self.pitch_deg):g} deg; they make a turn of 360 deg")]
-        return []
+            yield ("pitch_deg",), words
+        elif not all(0.0 < pitch < math.inf for pitch in self.pitch_deg):
+            yield ("pitch_deg",), "every pitch is an angle above 0 deg"
+        elif abs(sum(self.pitch_deg) - TURN_DEG) > TURN_OFF_DEG:
+            yield ("pitch_deg",), f"the pitches add up to {sum(self.pitch_deg):g} deg; they make a turn of 360 deg"
 
     def cut(self) -> Cut:
         start_rad, exit_rad = engagement_rad(

@@ -1,7 +1,7 @@
 """Which columns of a recording are time, spindle speed, temperatures and displacements."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from itertools import pairwise
 from pathlib import Path
@@ -9,11 +9,11 @@ from statistics import median
 from typing import Any, Literal, TypeVar
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from config.loader import load_yaml_model
 from config.recordings.column_units import contradiction
-from config.schema.base import KeyProblems, Seconds, Section
+from config.schema.base import Problems, Seconds, Section, checked
 from models.recordings.slopes import SLOPE_SUFFIX
 
 _OF_A_DATE = ("%d", "%j", "%D", "%x", "%c", "%Y", "%y", "%m", "%b", "%B", "%s")
@@ -86,12 +86,6 @@ class RecordingMap(Section):
     )
     sample_s: Seconds = Field(60.0, description="the recording is averaged to this time between rows [s]")
 
-    @model_validator(mode="after")
-    def _sensible(self) -> "RecordingMap":
-        if problems := [((key,), sentence) for key, sentence in self._time_problems()]:
-            raise KeyProblems(problems)
-        return self
-
     @property
     def local_times(self) -> bool:
         """Times may be those of a wall clock whose zone the map does not say; a time of day alone has none."""
@@ -102,23 +96,27 @@ class RecordingMap(Section):
         """The form of the times says a date."""
         return any(part in (self.time_format or "") for part in _OF_A_DATE)
 
-    def _time_problems(self) -> Iterator[tuple[str, str]]:
+    @checked
+    def _readable_times(self) -> Problems:
         of_text = self.time_format is not None or self.time_unit == "iso"
         if self.time_format is not None and self.time_unit != "s":
-            yield "time_unit", "goes with numbers and with ISO 8601, not with time_format; leave one of them out"
+            yield ("time_unit",), "goes with numbers and with ISO 8601, not with time_format; leave one of them out"
         if self.time_format is not None and "%" not in self.time_format:
-            yield "time_format", f"{self.time_format!r} has no part such as %H; write it like %d.%m.%Y %H:%M:%S"
+            yield ("time_format",), f"{self.time_format!r} has no part such as %H; write it like %d.%m.%Y %H:%M:%S"
         if self.date is not None and not of_text:
-            yield "date", "needs time_format, or time_unit: iso, which say how date and time are written"
+            yield ("date",), "needs time_format, or time_unit: iso, which say how date and time are written"
         if self.time_zone is not None:
             if not of_text:
-                yield "time_zone", f"a time in {self.time_unit} has no zone; leave it out"
+                yield ("time_zone",), f"a time in {self.time_unit} has no zone; leave it out"
             elif self.time_unit != "iso" and not self.has_dates:
-                yield "time_zone", "a time of day without a date has no zone; leave it out, or name the column `date`"
+                yield (
+                    ("time_zone",),
+                    "a time of day without a date has no zone; leave it out, or name the column `date`",
+                )
             try:
                 ZoneInfo(self.time_zone)
             except (ValueError, OSError, ZoneInfoNotFoundError):
-                yield "time_zone", f"{self.time_zone!r} is no zone of this computer; write one such as Europe/Zurich"
+                yield ("time_zone",), f"{self.time_zone!r} is no zone of this computer; write one such as Europe/Zurich"
 
 
 class ColumnError(ValueError):

@@ -5,10 +5,10 @@ from itertools import cycle
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from config.loader import load_yaml_model
-from config.schema.base import KeyPath, KeyProblems, Section
+from config.schema.base import KeyPath, Problems, Section, checked
 
 PUBLISHED = Path(__file__).parent / "table_3_1.yaml"
 """The dissertation's programme, as it ships."""
@@ -77,26 +77,22 @@ class ThermalCampaign(Section):
     reference_minutes: WholeMinutes = Field(1, description="standstill before each series [min]")
     series: list[Series] = Field(min_length=1)
 
-    @model_validator(mode="after")
-    def _check(self) -> "ThermalCampaign":
-        problems: list[tuple[KeyPath, str]] = []
+    @checked
+    def _check(self) -> Problems:
         numbers = Counter(operation.dataset for series in self.series for operation in series.operations)
         ends_day = 0.0
         for place, series in enumerate(self.series):
             if series.start_day < ends_day:
-                problems.append((("series", place, "start_day"), f"the series before only ends on day {ends_day:.3g}"))
+                yield ("series", place, "start_day"), f"the series before only ends on day {ends_day:.3g}"
             minutes = self.reference_minutes + self.minutes * len(series.operations)
             ends_day = series.start_day + minutes / 1440.0
             for index, operation in enumerate(series.operations):
                 key: KeyPath = ("series", place, "operations", index)
                 if operation.dataset is not None and numbers[operation.dataset] > 1:
-                    problems.append(((*key, "dataset"), f"data set {operation.dataset} stands here more than once"))
+                    yield (*key, "dataset"), f"data set {operation.dataset} stands here more than once"
                 used = sum(phase.minutes for phase in operation.phases(self.minutes))
                 if used != self.minutes:
-                    problems.append((key, f"takes {used} min where an operation has {self.minutes}"))
-        if problems:
-            raise KeyProblems(problems)
-        return self
+                    yield key, f"takes {used} min where an operation has {self.minutes}"
 
     @property
     def datasets(self) -> dict[int, Operation]:

@@ -1,10 +1,8 @@
 """The one schema: every configuration key of the daemon, with its unit, bounds, default and meaning."""
 
-from collections.abc import Iterator
+from pydantic import Field
 
-from pydantic import Field, model_validator
-
-from config.schema.base import KeyPath, KeyProblems, MachineName, Section
+from config.schema.base import KeyPath, MachineName, Problems, Section, checked, repeated
 from config.schema.cnc import CncConfig
 from config.schema.compensation import CompensationConfig
 from config.schema.displacements import DisplacementsConfig
@@ -43,53 +41,47 @@ class Configuration(Section):
     )
     signatures: SignaturesConfig = Field(default_factory=SignaturesConfig, description="whose signatures count")
 
-    @model_validator(mode="after")
-    def _cross_check(self) -> "Configuration":
-        problems: list[tuple[KeyPath, str]] = []
+    @checked
+    def _cross_check(self) -> Problems:
         axes, valued = set(self.compensation.axes), set(self.cnc.macros.values)
         if axes != valued:
             sentence = (
                 f"compensation.axes {sorted(axes)} and cnc.macros.values {sorted(valued)} must name the same axes"
             )
-            problems.append((("cnc", "macros", "values"), sentence))
+            yield ("cnc", "macros", "values"), sentence
         labels = set(self.temperatures.labels)
         for name, axis in self.compensation.axes.items():
             if axis.tool_term and (unknown := sorted(set(axis.tool_term.temperatures) - labels)):
                 at: KeyPath = ("compensation", "axes", name, "tool_term", "temperatures")
-                problems.append((at, f"no sensor carries the label {unknown}; there are {sorted(labels)}"))
+                yield at, f"no sensor carries the label {unknown}; there are {sorted(labels)}"
             if axis.tool_term and self.cnc.tells_prepared_tool and self.cnc.macros.request is None:
                 at = ("compensation", "axes", name, "tool_term")
                 sentence = (
                     "needs the tool in the spindle, and #4120 is the latest T word, which may only prepare one: add "
                     "cnc.macros.request, by which programs name their tools, or set cnc.focas.tool_macro"
                 )
-                problems.append((at, sentence))
+                yield at, sentence
         shown = self.cnc.temperature_macro
         if shown is not None and shown.sensor not in self.temperatures.sensor_ids:
             at = ("cnc", "temperature_macro", "sensor")
-            problems.append((at, f"there is no sensor {shown.sensor} (temperatures.sensors, temperatures.sources)"))
-        problems += self._displacement_wires()
-        problems += self._numbers_of_the_guard()
+            yield at, f"there is no sensor {shown.sensor} (temperatures.sensors, temperatures.sources)"
+        yield from self._displacement_wires()
+        yield from self._numbers_of_the_guard()
         valid_s = self.compensation.output.validity_s + self.cnc.poll_period_s
         if valid_s >= (believed_s := self.cnc.guard.max_validity_s):
             sentence = (
                 f"with cnc.poll_period_s a block is valid for up to {valid_s:g} s, and the guard accepts none that is "
                 f"valid for {believed_s:g} s or longer (cnc.guard.max_validity_s): it would never move anything"
             )
-            problems.append((("compensation", "output", "validity_s"), sentence))
-        problems += self._speed_macros()
-        problems += self._positionings()
-        problems += self._slopes()
-        names = [sink.name for sink in self.sinks or ()]
-        for index, name in enumerate(names):
-            if name in names[:index]:
-                problems.append((("sinks", index, "name"), f"another sink is called {name} already"))
+            yield ("compensation", "output", "validity_s"), sentence
+        yield from self._speed_macros()
+        yield from self._positionings()
+        yield from self._slopes()
+        for index, name in repeated(sink.name for sink in self.sinks or ()):
+            yield ("sinks", index, "name"), f"another sink is called {name} already"
         if self.opcua_server is not None and self.service.users is None:
             sentence = "is required with opcua_server: nobody could log in (`toolpoint users add NAME` makes the file)"
-            problems.append((("service", "users"), sentence))
-        if problems:
-            raise KeyProblems(problems)
-        return self
+            yield ("service", "users"), sentence
 
     @property
     def reads(self) -> dict[int, str]:
@@ -101,7 +93,7 @@ class Configuration(Section):
         """What is read beside temperatures: from the control, and of each displacement."""
         return self.cnc.reads | ({} if self.displacements is None else self.displacements.reads)
 
-    def _displacement_wires(self) -> Iterator[tuple[KeyPath, str]]:
+    def _displacement_wires(self) -> Problems:
         """Yield which channels belong to no axis, and which sources of displacements take a port that is taken."""
         if (displacements := self.displacements) is None:
             return
@@ -123,23 +115,21 @@ class Configuration(Section):
             if (other := ports.setdefault(port, entry.name)) != entry.name:
                 yield ("displacements", "sources", index, entry.driver, key), f"{other} uses {port} already"
 
-    def _speed_macros(self) -> list[tuple[KeyPath, str]]:
-        """Return what is wrong with the macros of the spindle speed beside those of the compensation."""
+    def _speed_macros(self) -> Problems:
+        """Yield what is wrong with the macros of the spindle speed beside those of the compensation."""
         if self.spindle_speed is None:
-            return []
+            return
         cnc, macros = self.cnc, self.spindle_speed.macros
         taken = {*cnc.macros.block, *self.guard_memory}
         taken |= {cnc.temperature_macro.macro} if cnc.temperature_macro is not None else set()
-        problems: list[tuple[KeyPath, str]] = []
         for key, number in macros.model_dump(exclude_none=True).items():
             at: KeyPath = ("spindle_speed", "macros", key)
             if number in taken:
-                problems.append((at, f"#{number} belongs to the compensation, the guard or the temperature already"))
+                yield at, f"#{number} belongs to the compensation, the guard or the temperature already"
             elif number in macros.ours and number not in cnc.macros.allowed:
-                problems.append((at, f"#{number} lies outside `writable` ({', '.join(cnc.macros.writable)})"))
-        return problems
+                yield at, f"#{number} lies outside `writable` ({', '.join(cnc.macros.writable)})"
 
-    def _slopes(self) -> Iterator[tuple[KeyPath, str]]:
+    def _slopes(self) -> Problems:
         """Yield which slopes this control cannot take."""
         for name in self.compensation.slopes:
             if not self.cnc.takes_slopes:
@@ -164,7 +154,7 @@ class Configuration(Section):
         """Macros that the guard alone writes."""
         return self.cnc.guard.memory_of(len(self.cnc.macros.values), len(self.compensation.slopes))
 
-    def _positionings(self) -> Iterator[tuple[KeyPath, str]]:
+    def _positionings(self) -> Problems:
         """Yield what is wrong with how positionings are seen."""
         reference, period_s = self.compensation.reference, self.cnc.poll_period_s
         if reference.positioning_dwell_s is not None and reference.positioning_dwell_s <= period_s:
@@ -185,7 +175,7 @@ class Configuration(Section):
                 )
                 yield (("compensation", "reference", key), sentence + "tools by the handshake (cnc.macros.request)")
 
-    def _numbers_of_the_guard(self) -> Iterator[tuple[KeyPath, str]]:
+    def _numbers_of_the_guard(self) -> Problems:
         """Yield which N numbers with a meaning also occur in the NC programs that `toolpoint guard` prints."""
         reference, output = self.compensation.reference, self.compensation.output
         lists: dict[KeyPath, list[int]] = {

@@ -1,8 +1,9 @@
 """Common base of all configuration sections, and what is said when a file is refused."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Self, get_args
+from functools import wraps
+from typing import Annotated, Any, ClassVar, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -10,6 +11,7 @@ from models.errors import RefusedInputError
 from models.json_values import printable
 
 KeyPath = tuple[str | int, ...]
+Value = TypeVar("Value")
 
 
 class Section(BaseModel):
@@ -20,12 +22,37 @@ class Section(BaseModel):
     """Keys whose paths may be bare names of YAML files that ship -> the folder of this package where they lie."""
 
 
+Problems = Iterator[tuple[KeyPath, str]]
+"""What a section's own check refuses: the keys that it means (paths relative to the section), and why."""
+
+
 class KeyProblems(ValueError):
-    """What a section's own check refuses, with the keys it means (paths relative to the section)."""
+    """What `checked` raises."""
 
     def __init__(self, problems: Sequence[tuple[KeyPath, str]]) -> None:
         self.problems = tuple(problems)
         super().__init__("; ".join(sentence for _, sentence in self.problems))
+
+
+def checked(found: Callable[[Any], Problems]) -> Any:
+    """Make of a method that yields what is wrong with a section the validator that refuses it."""
+
+    @wraps(found)
+    def refuse(section: Any) -> Any:
+        if problems := list(found(section)):
+            raise KeyProblems(problems)
+        return section
+
+    return model_validator(mode="after")(refuse)
+
+
+def repeated(values: Iterable[Value]) -> Iterator[tuple[int, Value]]:
+    """Yield the place and the value of each that was there before."""
+    seen: list[Value] = []
+    for place, value in enumerate(values):
+        if value in seen:
+            yield place, value
+        seen.append(value)
 
 
 def first_fault(error: ValidationError) -> str:
@@ -114,31 +141,26 @@ class SectionOfDriver(Section):
 
     model_config = ConfigDict(json_schema_extra=section_of_driver)
 
-    @model_validator(mode="after")
-    def _only_the_section_of_the_driver(self) -> Self:
-        problems: list[tuple[KeyPath, str]] = []
+    @checked
+    def _only_the_section_of_the_driver(self) -> Problems:
         chosen = getattr(self, "driver")  # noqa: B009 - the field is that of the subclass
         for driver in drivers_of(type(self)):
             given = getattr(self, driver) is not None
             if driver == chosen and not given:
                 description = type(self).model_fields[driver].description
-                problems.append(((driver,), f"this key is required and missing: {description}"))
+                yield (driver,), f"this key is required and missing: {description}"
             elif driver != chosen and given:
                 sentence = f"this section is for driver {driver}, but driver is {chosen}: keep one of the two"
-                problems.append(((driver,), sentence))
-        if problems:
-            raise KeyProblems(problems)
-        return self
+                yield (driver,), sentence
 
 
 class TlsAccount(Section):
     """What is checked of every section with an account at a server that is reached with TLS or without."""
 
-    @model_validator(mode="after")
-    def _of_use(self) -> Self:
+    @checked
+    def _of_use(self) -> Problems:
         given = dict(self)
         if given["password_file"] is not None and given["user_name"] is None:
-            raise KeyProblems([(("user_name",), "a password needs a user name")])
-        if given["ca_certificate"] is not None and not given["tls"]:
-            raise KeyProblems([(("tls",), "ca_certificate is of use with `tls: true` only")])
-        return self
+            yield ("user_name",), "a password needs a user name"
+        elif given["ca_certificate"] is not None and not given["tls"]:
+            yield ("tls",), "ca_certificate is of use with `tls: true` only"

@@ -6,17 +6,18 @@ import math
 from functools import cached_property
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field
 
 from config.schema.base import (
     AXIS_PATTERN,
     NUMBER_OR_RANGE_PATTERN,
     KeyPath,
-    KeyProblems,
     MacroNumber,
     Name,
+    Problems,
     Seconds,
     Section,
+    checked,
 )
 from config.schema.cnc_drivers import LATEST_T, CncDriverConfig
 from config.schema.guard import SHOWN, GuardConfig
@@ -105,27 +106,21 @@ class MacroMapConfig(Section):
         1e-6, ge=1e-8, le=1e-3, description="largest difference between written and read back, in the macros' unit"
     )
 
-    @model_validator(mode="after")
-    def _allowed(self) -> "MacroMapConfig":
-        problems: list[tuple[KeyPath, str]] = []
+    @checked
+    def _allowed(self) -> Problems:
         seen: dict[int, str] = {}
         for key, number in self._numbers():
             if number in seen:
-                problems.append((key, f"#{number} is used twice: it is {seen[number]} already"))
+                yield key, f"#{number} is used twice: it is {seen[number]} already"
             seen.setdefault(number, ".".join(str(step) for step in key))
             if _written_by_us(key) and number not in self.allowed:
-                problems.append((key, f"#{number} lies outside `writable` ({', '.join(self.writable)})"))
+                yield key, f"#{number} lies outside `writable` ({', '.join(self.writable)})"
         if set(self.values) != set(self.echo_applied):
-            problems.append((("echo_applied",), f"must name the same axes as `values`: {sorted(self.values)}"))
+            yield ("echo_applied",), f"must name the same axes as `values`: {sorted(self.values)}"
         if uncommon := sorted(n for n in self.allowed if not (100 <= n <= 199 or 500 <= n <= 999)):
-            problems.append(
-                (("writable",), f"only common variables (#100-#199, #500-#999) are ours, not #{uncommon[0]}")
-            )
+            yield ("writable",), f"only common variables (#100-#199, #500-#999) are ours, not #{uncommon[0]}"
         if not 100 <= self.valid_until <= 199:
-            problems.append((("valid_until",), "must be one of #100-#199, which power-off clears"))
-        if problems:
-            raise KeyProblems(problems)
-        return self
+            yield ("valid_until",), "must be one of #100-#199, which power-off clears"
 
     def _numbers(self) -> list[tuple[KeyPath, int]]:
         """Return every macro with the key that names it: ours first, then the echo."""
@@ -230,18 +225,15 @@ class AxisPositionConfig(Section):
         examples=[30000.0],
     )
 
-    @model_validator(mode="after")
-    def _sensible(self) -> "AxisPositionConfig":
+    @checked
+    def _sensible(self) -> Problems:
         lowest, highest = self.travel_mm
         if self.axis[0] in ROTARY:
-            raise KeyProblems(
-                [(("axis",), f"{self.axis} turns: its degrees roll over and are no mm; name a linear axis")]
-            )
-        if not -math.inf < lowest < highest < math.inf:
-            raise KeyProblems([(("travel_mm",), "the lowest position comes first, then the highest [mm]")])
-        if self.number is None and self.axis not in AXIS_NUMBERS:
-            raise KeyProblems([(("number",), f"is missing: which number axis {self.axis} has is not usual")])
-        return self
+            yield ("axis",), f"{self.axis} turns: its degrees roll over and are no mm; name a linear axis"
+        elif not -math.inf < lowest < highest < math.inf:
+            yield ("travel_mm",), "the lowest position comes first, then the highest [mm]"
+        elif self.number is None and self.axis not in AXIS_NUMBERS:
+            yield ("number",), f"is missing: which number axis {self.axis} has is not usual"
 
     @property
     def place(self) -> int:
@@ -300,55 +292,45 @@ class CncConfig(CncDriverConfig):
         asked = self.guard.watch_offset
         return self.driver in ("focas", "haas") if asked is None else asked
 
-    @model_validator(mode="after")
-    def _guard_of_the_control(self) -> "CncConfig":
+    @checked
+    def _guard_of_the_control(self) -> Problems:
         wanted = "sinumerik" if self.is_sinumerik else "linuxcnc" if self.driver == "linuxcnc" else "fanuc"
         if self.guard.dialect != wanted:
             sentence = f"must be {wanted} for this control (cnc.driver, cnc.opcua.preset): it runs no guard in another"
-            raise KeyProblems([(("guard", "dialect"), f"{sentence} language")])
-        if self.guard.watch_offset and (wanted != "fanuc" or self.driver == "mtconnect"):
-            raise KeyProblems([(("guard", "watch_offset"), "this control's offset is no system variable #5201..")])
-        if self.driver == "haas" and self.macros.unit_um > MOST_UM_OF_HAAS:
+            yield ("guard", "dialect"), f"{sentence} language"
+        elif self.guard.watch_offset and (wanted != "fanuc" or self.driver == "mtconnect"):
+            yield ("guard", "watch_offset"), "this control's offset is no system variable #5201.."
+        elif self.driver == "haas" and self.macros.unit_um > MOST_UM_OF_HAAS:
             sentence = (
                 f"at most {MOST_UM_OF_HAAS:g} (mm): a Haas takes six decimals, and with larger units, as inches, "
             )
-            raise KeyProblems(
-                [(("macros", "unit_um"), sentence + "no value is whole nanometres, so no check ever fits")]
-            )
-        return self
+            yield ("macros", "unit_um"), sentence + "no value is whole nanometres, so no check ever fits"
 
-    @model_validator(mode="after")
-    def _memory_apart(self) -> "CncConfig":
+    @checked
+    def _memory_apart(self) -> Problems:
         memory = self.guard.memory_of(len(self.macros.values))
         key = ("guard", "memory")
         if memory[-1] > 999:
-            raise KeyProblems([(key, f"it needs #{memory[0]} to #{memory[-1]}; there are macros up to #999")])
-        if taken := sorted(set(memory) & {*self.macros.block, *self.macros.allowed}):
-            raise KeyProblems(
-                [(key, f"#{taken[0]} (of #{memory[0]} to #{memory[-1]}) is in the macro map or in `writable` already")]
-            )
+            yield key, f"it needs #{memory[0]} to #{memory[-1]}; there are macros up to #999"
+        elif taken := sorted(set(memory) & {*self.macros.block, *self.macros.allowed}):
+            yield key, f"#{taken[0]} (of #{memory[0]} to #{memory[-1]}) is in the macro map or in `writable` already"
         shown = {*range(self.guard.shown, self.guard.shown + SHOWN)}
         if self.is_sinumerik and (taken := sorted(shown & {*memory, *self.macros.block, *self.macros.allowed})):
             sentence = f"R{taken[0]} is in the guard's memory, in the macro map or in `writable` already"
-            raise KeyProblems([(("guard", "shown"), sentence)])
-        return self
+            yield ("guard", "shown"), sentence
 
-    @model_validator(mode="after")
-    def _temperature_has_its_own_macro(self) -> "CncConfig":
+    @checked
+    def _temperature_has_its_own_macro(self) -> Problems:
         if self.temperature_macro is None:
-            return self
+            return
         number, at = self.temperature_macro.macro, ("temperature_macro", "macro")
         if number in self.macros.block:
-            raise KeyProblems([(at, f"#{number} belongs to the block, its echo or the handshake (macros)")])
-        if number not in self.macros.allowed:
+            yield at, f"#{number} belongs to the block, its echo or the handshake (macros)"
+        elif number not in self.macros.allowed:
             sentence = f"#{number} lies outside `macros.writable` ({', '.join(self.macros.writable)})"
-            raise KeyProblems([(at, sentence)])
-        return self
+            yield at, sentence
 
-    @model_validator(mode="after")
-    def _ordered(self) -> "CncConfig":
+    @checked
+    def _ordered(self) -> Problems:
         if self.stale_after_s <= self.poll_period_s:
-            raise KeyProblems(
-                [(("stale_after_s",), "must be longer than poll_period_s, or the link would always count as lost")]
-            )
-        return self
+            yield ("stale_after_s",), "must be longer than poll_period_s, or the link would always count as lost"

@@ -9,17 +9,17 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, Self, TypeVar
 from urllib.parse import urlsplit
 
-from pydantic import BaseModel, Field, model_validator
+from pydantic import BaseModel, Field
 
 from config.schema.base import (
     AGENT_PATTERN,
     ENDPOINT_PATTERN,
     Host,
-    KeyPath,
-    KeyProblems,
     MacroNumber,
+    Problems,
     Section,
     SectionOfDriver,
+    checked,
 )
 
 Connection = TypeVar("Connection", bound="CncConnection")
@@ -133,16 +133,15 @@ class OpcUaNodesConfig(Section):
     )
     macro: str | None = Field(None, description="macro variable; {number} is replaced", examples=["s=Macro.{number}"])
 
-    @model_validator(mode="after")
-    def _sensible(self) -> "OpcUaNodesConfig":
+    @checked
+    def _sensible(self) -> Problems:
         if self.macro not in (None, NO_NODE) and "{number}" not in str(self.macro):
-            raise KeyProblems([(("macro",), "must contain {number}, which stands for the macro's number")])
+            yield ("macro",), "must contain {number}, which stands for the macro's number"
         position = self.axis_position
         if position not in (None, NO_NODE) and "{axis}" not in str(position) and "{number}" not in str(position):
-            raise KeyProblems([(("axis_position",), "must contain {axis} or {number}, which stand for the axis")])
-        if absent := [name for name in NEEDED_NODES if getattr(self, name) == NO_NODE]:
-            raise KeyProblems([((absent[0],), "no control can be compensated without it: name its identifier")])
-        return self
+            yield ("axis_position",), "must contain {axis} or {number}, which stand for the axis"
+        elif absent := [name for name in NEEDED_NODES if getattr(self, name) == NO_NODE]:
+            yield (absent[0],), "no control can be compensated without it: name its identifier"
 
 
 class OpcUaConfig(CncConnection):
@@ -174,17 +173,14 @@ class OpcUaConfig(CncConnection):
         None, description="Basic256Sha256, sign and encrypt, with a user; without it nothing is written"
     )
 
-    @model_validator(mode="after")
-    def _complete(self) -> Self:
-        missing: list[tuple[KeyPath, str]] = []
+    @checked
+    def _complete(self) -> Problems:
         if self.namespace_uri is None and self.preset != "sinumerik":
-            missing.append((("namespace_uri",), "this key is required and missing: namespace that holds the variables"))
+            yield ("namespace_uri",), "this key is required and missing: namespace that holds the variables"
         if self.preset == "generic":
-            absent = [name for name in NEEDED_NODES if getattr(self.nodes, name, None) is None]
-            missing += [(("nodes", name), "this key is required and missing with preset generic") for name in absent]
-        if missing:
-            raise KeyProblems(missing)
-        return self
+            for name in NEEDED_NODES:
+                if getattr(self.nodes, name, None) is None:
+                    yield ("nodes", name), "this key is required and missing with preset generic"
 
     @property
     def namespace(self) -> str:
@@ -343,15 +339,14 @@ class MtconnectConfig(CncConnection):
         """The agent's host and port, and its device."""
         return f"{self.host.lower()}:{self.port}{self.path}" + (f" {self.device}" if self.device else "")
 
-    @model_validator(mode="after")
-    def _port_is_one(self) -> Self:
+    @checked
+    def _port_is_one(self) -> Problems:
         try:
             good = urlsplit(self.url).port != 0 and bool(urlsplit(self.url).hostname)
         except ValueError:
             good = False
         if not good:
-            raise KeyProblems([(("url",), "must be an address such as http://192.168.10.20:5000")])
-        return self
+            yield ("url",), "must be an address such as http://192.168.10.20:5000"
 
 
 class CncDriverConfig(SectionOfDriver):

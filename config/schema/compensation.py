@@ -1,14 +1,13 @@
 """What may move the machine, how far and how fast."""
 
 import math
-from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from config.schema.base import ChannelName, Days, KeyPath, KeyProblems, MacroNumber, Name, Seconds, Section
+from config.schema.base import ChannelName, Days, KeyPath, MacroNumber, Name, Problems, Seconds, Section, checked
 
 SequenceNumber = Annotated[int, Field(ge=0, le=99_999_999)]
 
@@ -27,14 +26,13 @@ class ToolTermConfig(Section):
     )
     direction: int = Field(-1, description="+1 or -1: the axis direction in which a longer tool moves its point")
 
-    @model_validator(mode="after")
-    def _sensible(self) -> "ToolTermConfig":
+    @checked
+    def _sensible(self) -> Problems:
         if self.direction not in (-1, 1):
-            raise KeyProblems([(("direction",), "direction is +1 or -1")])
-        if abs(sum(self.temperatures.values()) - 1.0) > 1e-6:
+            yield ("direction",), "direction is +1 or -1"
+        elif abs(sum(self.temperatures.values()) - 1.0) > 1e-6:
             total = sum(self.temperatures.values())
-            raise KeyProblems([(("temperatures",), f"the weights must sum to 1; they sum to {total:g}")])
-        return self
+            yield ("temperatures",), f"the weights must sum to 1; they sum to {total:g}"
 
 
 class SlopeConfig(Section):
@@ -55,12 +53,11 @@ class SlopeConfig(Section):
         examples=[[0.0, 500.0]],
     )
 
-    @model_validator(mode="after")
-    def _sensible(self) -> "SlopeConfig":
+    @checked
+    def _sensible(self) -> Problems:
         lowest, highest = self.travel_mm
         if not -math.inf < lowest < highest < math.inf:
-            raise KeyProblems([(("travel_mm",), "the lowest position comes first, then the highest [mm]")])
-        return self
+            yield ("travel_mm",), "the lowest position comes first, then the highest [mm]"
 
     @property
     def reach_m(self) -> float:
@@ -91,15 +88,14 @@ class AxisConfig(Section):
         None, description="this entry is a slope along another axis, and all its um are um/m; none: an offset"
     )
 
-    @model_validator(mode="after")
-    def _sensible(self) -> "AxisConfig":
+    @checked
+    def _sensible(self) -> Problems:
         if self.deadband_um >= self.absolute_bound_um:
-            raise KeyProblems([(("deadband_um",), "must be below absolute_bound_um, or nothing is ever written")])
-        if self.tool_term is not None and self.estimate is None:
-            raise KeyProblems([(("tool_term",), "an axis without `estimate` stays disabled and takes no tool term")])
-        if self.tool_term is not None and self.slope is not None:
-            raise KeyProblems([(("tool_term",), "a slope takes no tool term: a tool grows the same everywhere")])
-        return self
+            yield ("deadband_um",), "must be below absolute_bound_um, or nothing is ever written"
+        elif self.tool_term is not None and self.estimate is None:
+            yield ("tool_term",), "an axis without `estimate` stays disabled and takes no tool term"
+        elif self.tool_term is not None and self.slope is not None:
+            yield ("tool_term",), "a slope takes no tool term: a tool grows the same everywhere"
 
 
 class ReferenceConfig(Section):
@@ -161,12 +157,11 @@ class ReferenceConfig(Section):
         600.0, description="after a longer outage of the daemon an old reference is not used again"
     )
 
-    @model_validator(mode="after")
-    def _consistent(self) -> "ReferenceConfig":
+    @checked
+    def _consistent(self) -> Problems:
         if self.policy == "zero_first" and not self.retreat_sequence_numbers:
             sentence = "zero_first needs to know where the program is before its next positioning: name N numbers"
-            raise KeyProblems([(("retreat_sequence_numbers",), sentence)])
-        return self
+            yield ("retreat_sequence_numbers",), sentence
 
 
 class OutputConfig(Section):
@@ -201,16 +196,15 @@ class OutputConfig(Section):
         default_factory=list, description="N numbers at which the tool is away from the work (safe points)"
     )
 
-    @model_validator(mode="after")
-    def _ordered(self) -> "OutputConfig":
+    @checked
+    def _ordered(self) -> Problems:
         if not self.stale_after_s <= self.alarm_after_s <= self.hold_limit_s:
             sentence = "stale_after_s <= alarm_after_s <= hold_limit_s must hold"
-            raise KeyProblems([(("alarm_after_s",), sentence)])
-        if self.full_confidence < self.min_confidence:
-            raise KeyProblems([(("full_confidence",), "must not be below min_confidence")])
-        if self.validity_s <= self.tick_s:
-            raise KeyProblems([(("validity_s",), "must be longer than tick_s, or the block expires between two ticks")])
-        return self
+            yield ("alarm_after_s",), sentence
+        elif self.full_confidence < self.min_confidence:
+            yield ("full_confidence",), "must not be below min_confidence"
+        elif self.validity_s <= self.tick_s:
+            yield ("validity_s",), "must be longer than tick_s, or the block expires between two ticks"
 
 
 class ReleaseConfig(Section):
@@ -267,27 +261,21 @@ class CompensationConfig(Section):
     reference: ReferenceConfig = Field(default_factory=ReferenceConfig, description="work positioning")
     output: OutputConfig = Field(default_factory=OutputConfig, description="timing and states")
 
-    @model_validator(mode="after")
-    def _slopes_leave_room(self) -> "CompensationConfig":
-        problems: list[tuple[KeyPath, str]] = []
+    @checked
+    def _slopes_leave_room(self) -> Problems:
         sloped: dict[str, str] = {}
         for name, slope in self.slopes.items():
             at: KeyPath = ("axes", name, "slope", "of")
             if slope.of not in self.axes or slope.of in self.slopes:
                 offsets = ", ".join(axis for axis in self.axes if axis not in self.slopes)
-                problems.append(
-                    (at, f"there is no axis {slope.of} that takes an offset; there are {offsets or 'none'}")
-                )
+                yield at, f"there is no axis {slope.of} that takes an offset; there are {offsets or 'none'}"
             elif slope.of in sloped:
-                problems.append((at, f"{sloped[slope.of]} is the slope of {slope.of} already"))
+                yield at, f"{sloped[slope.of]} is the slope of {slope.of} already"
             else:
-                problems += self._without_room(name, slope)
+                yield from self._without_room(name, slope)
             sloped.setdefault(slope.of, name)
-        if problems:
-            raise KeyProblems(problems)
-        return self
 
-    def _without_room(self, name: str, slope: SlopeConfig) -> Iterator[tuple[KeyPath, str]]:
+    def _without_room(self, name: str, slope: SlopeConfig) -> Problems:
         """Yield which limits of a slope leave its axis' offset nothing."""
         for key in SHARED_LIMITS:
             of_slope, of_axis = getattr(self.axes[name], key), getattr(self.axes[slope.of], key)

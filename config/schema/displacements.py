@@ -4,11 +4,11 @@ import math
 from collections.abc import Collection, Sequence
 from datetime import datetime
 from functools import cached_property
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from config.schema.base import ChannelName, KeyPath, KeyProblems, Name, Seconds, Section
+from config.schema.base import ChannelName, KeyPath, Name, Problems, Seconds, Section, checked, repeated
 from config.schema.modbus import ModbusRegister, ModbusWire
 from config.schema.source_drivers import SourceEntry
 from config.schema.source_sections import (
@@ -54,16 +54,12 @@ class SourceChannelConfig(Measured):
 
     unit_words: ClassVar[str] = "um"
 
-    @model_validator(mode="after")
-    def _readable(self) -> Self:
-        problems: list[tuple[KeyPath, str]] = []
+    @checked
+    def _readable(self) -> Problems:
         if self.scale == 0:
-            problems.append((("scale",), "must not be 0, or the channel is always the same"))
+            yield ("scale",), "must not be 0, or the channel is always the same"
         if self.min_um is not None and self.max_um is not None and self.min_um >= self.max_um:
-            problems.append((("min_um",), "min_um must be below max_um"))
-        if problems:
-            raise KeyProblems(problems)
-        return self
+            yield ("min_um",), "min_um must be below max_um"
 
     @property
     def key(self) -> str:
@@ -196,11 +192,10 @@ class DisplacementChannelConfig(Section):
     )
     scale_um: float = Field(1.0, description="micrometres per unit of the file, with sign [um]")
 
-    @model_validator(mode="after")
-    def _sensible(self) -> "DisplacementChannelConfig":
+    @checked
+    def _sensible(self) -> Problems:
         if self.scale_um == 0:
-            raise KeyProblems([(("scale_um",), "must not be 0, or the channel is always 0")])
-        return self
+            yield ("scale_um",), "must not be 0, or the channel is always 0"
 
 
 class DisplacementFileConfig(LoggerFileConfig):
@@ -220,20 +215,19 @@ class DisplacementFileConfig(LoggerFileConfig):
         None, description="time between rows, for files without time columns", examples=[60.0]
     )
 
-    @model_validator(mode="after")
-    def _start_and_interval(self) -> "DisplacementFileConfig":
+    @checked
+    def _start_and_interval(self) -> Problems:
         if (self.start is None) != (self.interval_s is None):
             key = "start" if self.interval_s is None else "interval_s"
-            raise KeyProblems([((key,), "start and interval_s go together")])
-        if self.start is None and not self.time_columns:
-            raise KeyProblems([(("time_columns",), "give time_columns, or start and interval_s")])
-        if self.start is not None:
+            yield (key,), "start and interval_s go together"
+        elif self.start is None and not self.time_columns:
+            yield ("time_columns",), "give time_columns, or start and interval_s"
+        elif self.start is not None:
             try:
                 datetime.fromisoformat(self.start)
             except ValueError:
                 sentence = f"{self.start!r} is no ISO 8601 time such as 2026-01-31T08:00:00"
-                raise KeyProblems([(("start",), sentence)]) from None
-        return self
+                yield ("start",), sentence
 
 
 class DisplacementsConfig(Section):
@@ -249,32 +243,20 @@ class DisplacementsConfig(Section):
         examples=[[{"name": "gauges", "driver": "modbus", "modbus": {"host": "192.168.10.31"}}]],
     )
 
-    @model_validator(mode="after")
-    def _unique(self) -> "DisplacementsConfig":
-        problems: list[tuple[KeyPath, str]] = []
+    @checked
+    def _unique(self) -> Problems:
         if self.file is None and not self.sources and not self.channels:
             sentence = "there is nothing to read: describe the logger's file here, or another source under `sources`"
-            problems.append((("file",), sentence))
+            yield ("file",), sentence
         if (self.file is None) != (not self.channels):
             key = "file" if self.file is None else "channels"
-            problems.append(((key,), "file and channels go together"))
+            yield (key,), "file and channels go together"
         elif self.file is not None:
-            columns = [channel.column for channel in self.channels]
-            problems += [(("channels", i, "column"), sentence) for i, sentence in self.file.column_problems(columns)]
-        seen: set[str] = set()
-        for at, channel in self.placed_channels:
-            if channel.name in seen:
-                problems.append(((*at, "name"), f"two channels have the same name {channel.name!r}"))
-            seen.add(channel.name)
-        names = [source.name for source in self.sources or ()]
-        problems += [
-            (("sources", i, "name"), f"two sources have the same name {name!r}")
-            for i, name in enumerate(names)
-            if name in names[:i]
-        ]
-        if problems:
-            raise KeyProblems(problems)
-        return self
+            yield from self.file.column_problems("channels", [channel.column for channel in self.channels])
+        for place, name in repeated(channel.name for channel in self.every_channel):
+            yield (*self.placed_channels[place][0], "name"), f"two channels have the same name {name!r}"
+        for place, name in repeated(source.name for source in self.sources or ()):
+            yield ("sources", place, "name"), f"two sources have the same name {name!r}"
 
     @property
     def placed_channels(self) -> Sequence[tuple[KeyPath, DisplacementChannelConfig | SourceChannelConfig]]:

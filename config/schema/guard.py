@@ -2,9 +2,9 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from config.schema.base import READ_AHEAD_STOP_PATTERN, KeyPath, KeyProblems, Name, Seconds, Section
+from config.schema.base import READ_AHEAD_STOP_PATTERN, Name, Problems, Seconds, Section, checked
 
 AxisLetter = Literal["X", "Y", "Z", "U", "V", "W", "A", "B", "C"]
 USUAL_AXES: dict[str, tuple[AxisLetter, int]] = {"x": ("X", 1), "y": ("Y", 2), "z": ("Z", 3)}
@@ -89,22 +89,18 @@ class GuardConfig(Section):
         "message", description="what the request program does without an answer"
     )
 
-    @model_validator(mode="after")
-    def _one_axis_each(self) -> "GuardConfig":
-        problems: list[tuple[KeyPath, str]] = []
+    @checked
+    def _one_axis_each(self) -> Problems:
         taken: dict[str | int, str] = {}
         for name, axis in self.axes.items():
             if axis.letter in "ABC" and len(self.axes) <= 6:
-                problems.append((("axes", name, "letter"), f"{axis.letter} turns: 1 um would be 0.001 degrees there"))
+                yield ("axes", name, "letter"), f"{axis.letter} turns: 1 um would be 0.001 degrees there"
             for key, value in (("letter", axis.letter), ("number", axis.number)):
                 if value in taken:
-                    problems.append((("axes", name, key), f"{value} is {taken[value]} already"))
+                    yield ("axes", name, key), f"{value} is {taken[value]} already"
                 taken.setdefault(value, name)
         if self.read_ahead_stop in ("M98", "M99", "M30", "M2"):
-            problems.append((("read_ahead_stop",), f"{self.read_ahead_stop} ends or calls a program"))
-        if problems:
-            raise KeyProblems(problems)
-        return self
+            yield ("read_ahead_stop",), f"{self.read_ahead_stop} ends or calls a program"
 
     @property
     def programs(self) -> range:

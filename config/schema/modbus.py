@@ -7,11 +7,11 @@ of one unit and table ask for the same count there: a late or doubled answer fit
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from config.schema.base import Host, KeyPath, KeyProblems, Seconds
+from config.schema.base import Host, Problems, Seconds, checked
 from config.schema.sources import Measured, SourceConnection, SourceSensorConfig
 
 LAST_ADDRESS = 65535
@@ -111,21 +111,15 @@ class ModbusWire(SourceConnection):
         MOST_REGISTERS, ge=2, le=MOST_REGISTERS, description="the box answers at most so many registers at once"
     )
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        problems: list[tuple[KeyPath, str]] = []
+    @checked
+    def _consistent(self) -> Problems:
         if (self.host is None) == (self.serial_port is None):
-            problems.append((("host",), "give either `host` (Modbus TCP) or `serial_port` (Modbus RTU)"))
+            yield ("host",), "give either `host` (Modbus TCP) or `serial_port` (Modbus RTU)"
         if self.framing == "rtu" and self.host is None:
-            problems.append((("framing",), "a serial port always has Modbus RTU; leave `framing` out"))
-        problems += self._registers_read_twice()
-        if not problems:
-            problems += self._alike()
-        if problems:
-            raise KeyProblems(problems)
-        return self
+            yield ("framing",), "a serial port always has Modbus RTU; leave `framing` out"
+        yield from self._registers_read_twice()
 
-    def _registers_read_twice(self) -> Iterator[tuple[KeyPath, str]]:
+    def _registers_read_twice(self) -> Problems:
         taken: dict[tuple[int, str, int], int] = {}
         for index, each in enumerate(self.registers):
             if each.address + each.width > LAST_ADDRESS + 1:
@@ -137,7 +131,8 @@ class ModbusWire(SourceConnection):
                     sentence = f"{each.table} register {address} of unit {key[0]} belongs to {owner} already"
                     yield (self.listed, index, "address"), sentence
 
-    def _alike(self) -> Iterator[tuple[KeyPath, str]]:
+    @checked
+    def _alike(self) -> Problems:
         """Yield which requests have answers that a serial line cannot tell apart."""
         if not self.is_rtu:
             return

@@ -2,13 +2,12 @@
 
 import ipaddress
 import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, IPvAnyAddress, model_validator
+from pydantic import Field, IPvAnyAddress
 
-from config.schema.base import Days, Host, KeyPath, KeyProblems, Seconds, Section
+from config.schema.base import Days, Host, Problems, Seconds, Section, checked
 
 LONGEST_SOCKET_PATH = 107
 """Bytes that Linux takes for the path of a local socket."""
@@ -86,15 +85,12 @@ class ServiceConfig(Section):
     retry_min_s: Seconds = Field(0.5, description="first wait before a lost link is tried again")
     retry_max_s: Seconds = Field(30.0, description="longest wait before a lost link is tried again")
 
-    @model_validator(mode="after")
-    def _sensible(self) -> "ServiceConfig":
+    @checked
+    def _sensible(self) -> Problems:
         if len(os.fsencode(self.socket)) > LONGEST_SOCKET_PATH:
-            raise KeyProblems([(("socket",), f"a local socket's path has at most {LONGEST_SOCKET_PATH} bytes")])
-        if self.retry_min_s > self.retry_max_s:
-            raise KeyProblems([(("retry_min_s",), "must not be longer than retry_max_s")])
-        if problems := list(self._open_to_others()):
-            raise KeyProblems(problems)
-        return self
+            yield ("socket",), f"a local socket's path has at most {LONGEST_SOCKET_PATH} bytes"
+        elif self.retry_min_s > self.retry_max_s:
+            yield ("retry_min_s",), "must not be longer than retry_max_s"
 
     @property
     def http_is_local(self) -> bool:
@@ -106,7 +102,8 @@ class ServiceConfig(Section):
         except ValueError:
             return False
 
-    def _open_to_others(self) -> Iterator[tuple[KeyPath, str]]:
+    @checked
+    def _open_to_others(self) -> Problems:
         """Yield what the monitor lacks to be opened to other computers."""
         if (self.tls_certificate is None) != (self.tls_key is None):
             missing = "tls_key" if self.tls_key is None else "tls_certificate"

@@ -2,9 +2,9 @@
 
 import re
 from pathlib import Path
-from typing import Annotated, Literal, Self, get_args
+from typing import Annotated, Literal, get_args
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from config.schema.base import (
     FOLDER_OR_BUCKET_PATTERN,
@@ -14,12 +14,13 @@ from config.schema.base import (
     TOPIC_PATTERN,
     WEBHOOK_PATTERN,
     Host,
-    KeyProblems,
     Name,
+    Problems,
     Seconds,
     Section,
     SectionOfDriver,
     TlsAccount,
+    checked,
 )
 
 
@@ -169,13 +170,12 @@ class WebhookConfig(Section):
     timeout_s: Seconds = Field(10.0, description="a message must be taken within this time")
     alarms: AlarmsConfig = Field(default_factory=AlarmsConfig, description="what is told, and how often")
 
-    @model_validator(mode="after")
-    def _one_address(self) -> Self:
+    @checked
+    def _one_address(self) -> Problems:
         if (self.url is None) == (self.url_file is None):
-            raise KeyProblems([(("url",), "give either url or url_file")])
-        if self.token_file is not None and (self.url or "").startswith("http:"):
-            raise KeyProblems([(("token_file",), "would go over the network in the clear: give an https:// address")])
-        return self
+            yield ("url",), "give either url or url_file"
+        elif self.token_file is not None and (self.url or "").startswith("http:"):
+            yield ("token_file",), "would go over the network in the clear: give an https:// address"
 
 
 class MailConfig(Section):
@@ -204,14 +204,13 @@ class MailConfig(Section):
     timeout_s: Seconds = Field(10.0, description="a message must be taken within six times this")
     alarms: AlarmsConfig = Field(default_factory=AlarmsConfig, description="what is told, and how often")
 
-    @model_validator(mode="after")
-    def _account_over_tls(self) -> Self:
+    @checked
+    def _account_over_tls(self) -> Problems:
         if (self.user_name is None) != (self.password_file is None):
             missing = "user_name" if self.user_name is None else "password_file"
-            raise KeyProblems([((missing,), "give user_name and password_file together")])
-        if self.encryption == "none" and (self.password_file or self.ca_certificate):
-            raise KeyProblems([(("encryption",), "password and ca_certificate are of use with starttls or tls only")])
-        return self
+            yield (missing,), "give user_name and password_file together"
+        elif self.encryption == "none" and (self.password_file or self.ca_certificate):
+            yield ("encryption",), "password and ca_certificate are of use with starttls or tls only"
 
 
 class SinkConfig(SectionOfDriver):

@@ -5,20 +5,21 @@ Each wire stands apart from its list of sensors, because displacements come over
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Literal
 from zoneinfo import ZoneInfo
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from config.schema.base import (
     ENDPOINT_PATTERN,
     TOPIC_PATTERN,
     Host,
-    KeyPath,
-    KeyProblems,
+    Problems,
     Seconds,
     Section,
     TlsAccount,
+    checked,
+    repeated,
 )
 from config.schema.cnc_drivers import OpcUaSecurityConfig
 from config.schema.sources import Measured, SourceConnection, SourceSensorConfig
@@ -56,48 +57,41 @@ class LoggerFileConfig(Section):
     poll_period_s: Seconds = Field(5.0, description="time between looks at size and time of the file")
     max_line_bytes: int = Field(65536, ge=256, description="a longer line is skipped and reported")
 
-    @model_validator(mode="after")
-    def _readable(self) -> Self:
-        problems: list[tuple[KeyPath, str]] = []
+    @checked
+    def _readable(self) -> Problems:
         if self.delimiter == self.decimal:
-            problems.append((("decimal",), "delimiter and decimal mark are the same character"))
+            yield ("decimal",), "delimiter and decimal mark are the same character"
         if self.header is None and any(isinstance(column, str) for column in self.time_columns):
-            problems.append((("time_columns",), "without file.header, columns must be given by number (from 1)"))
-        problems += [((key,), sentence) for key, sentence in self._time_problems()]
+            yield ("time_columns",), "without file.header, columns must be given by number (from 1)"
+        yield from self._time_problems()
         if any(isinstance(column, int) and column < 1 for column in self.time_columns):
-            problems.append((("time_columns",), "columns count from 1"))
-        if problems:
-            raise KeyProblems(problems)
-        return self
+            yield ("time_columns",), "columns count from 1"
 
-    def _time_problems(self) -> list[tuple[str, str]]:
-        """Return what is wrong with zone and format of the time stamps."""
-        problems: list[tuple[str, str]] = []
+    def _time_problems(self) -> Problems:
+        """Yield what is wrong with zone and format of the time stamps."""
         if self.time_zone != "UTC":
             try:
                 ZoneInfo(self.time_zone)
             except (KeyError, ValueError, OSError):
                 sentence = f"there is no time zone {self.time_zone!r} on this computer; write one such as Asia/Tokyo"
-                problems.append(("time_zone", sentence))
+                yield ("time_zone",), sentence
         if self.time_format != "%s":
             moment = datetime(2026, 1, 31, 8, 15, 30, tzinfo=UTC)
             try:
                 datetime.strptime(moment.strftime(self.time_format), self.time_format)
             except ValueError as error:
-                problems.append(("time_format", f"{self.time_format!r} is no strptime format: {error}"))
-        return problems
+                yield ("time_format",), f"{self.time_format!r} is no strptime format: {error}"
 
-    def column_problems(self, columns: list[str | int]) -> list[tuple[int, str]]:
-        """Return which columns of values cannot be read, by their places in the list."""
-        problems: list[tuple[int, str]] = []
+    def column_problems(self, listed: str, columns: list[str | int]) -> Problems:
+        """Yield which columns of values cannot be read, by the key of their list and their places in it."""
         for index, column in enumerate(columns):
+            at = (listed, index, "column")
             if column in columns[:index]:
-                problems.append((index, f"reads the column {column!r}, which another one reads already"))
+                yield at, f"reads the column {column!r}, which another one reads already"
             if isinstance(column, int) and column < 1:
-                problems.append((index, "columns count from 1"))
+                yield at, "columns count from 1"
             if self.header is None and isinstance(column, str):
-                problems.append((index, "without file.header, columns must be given by number (from 1)"))
-        return problems
+                yield at, "without file.header, columns must be given by number (from 1)"
 
 
 class CsvColumn(Measured):
@@ -119,12 +113,9 @@ class CsvFiles(SourceConnection):
         description="the files; with an empty `time_columns` a row counts from when it is read"
     )
 
-    @model_validator(mode="after")
-    def _columns(self) -> Self:
-        found = self.file.column_problems([each.column for each in self.every_input])
-        if found:
-            raise KeyProblems([((self.listed, index, "column"), sentence) for index, sentence in found])
-        return self
+    @checked
+    def _columns(self) -> Problems:
+        return self.file.column_problems(self.listed, [each.column for each in self.every_input])
 
 
 class CsvConfig(CsvFiles):
@@ -171,17 +162,10 @@ class KernelFiles(SourceConnection):
 
     timeout_s: Seconds = Field(5.0, description="a sensor that takes longer is not waited for")
 
-    @model_validator(mode="after")
-    def _once(self) -> Self:
-        paths = [each.path for each in self.every_input]
-        problems: list[tuple[KeyPath, str]] = [
-            ((self.listed, index, "path"), f"two {self.listed} read {path}")
-            for index, path in enumerate(paths)
-            if path in paths[:index]
-        ]
-        if problems:
-            raise KeyProblems(problems)
-        return self
+    @checked
+    def _once(self) -> Problems:
+        for index, path in repeated(each.path for each in self.every_input):
+            yield (self.listed, index, "path"), f"two {self.listed} read {path}"
 
 
 class KernelConfig(KernelFiles):

@@ -8,11 +8,11 @@ import math
 from abc import abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from config.schema.base import KeyPath, KeyProblems, Name, Section
+from config.schema.base import Name, Problems, Section, checked
 
 DEGF_PER_K = 1.8
 DEGF_AT_0_DEGC = 32.0
@@ -87,16 +87,12 @@ class SourceSensorConfig(Measured):
 
     unit_words: ClassVar[str] = "degC"
 
-    @model_validator(mode="after")
-    def _readable(self) -> Self:
-        problems: list[tuple[KeyPath, str]] = []
+    @checked
+    def _readable(self) -> Problems:
         if self.scale == 0:
-            problems.append((("scale",), "must not be 0, or the temperature is always the same"))
+            yield ("scale",), "must not be 0, or the temperature is always the same"
         if self.min_degc is not None and self.max_degc is not None and self.min_degc >= self.max_degc:
-            problems.append((("min_degc",), "min_degc must be below max_degc"))
-        if problems:
-            raise KeyProblems(problems)
-        return self
+            yield ("min_degc",), "min_degc must be below max_degc"
 
     @property
     def key(self) -> int:

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from config.schema.base import KeyPath, KeyProblems, MacroNumber, Seconds, Section
+from config.schema.base import MacroNumber, Problems, Seconds, Section, checked, repeated
 
 
 class SpeedMacrosConfig(Section):
@@ -74,21 +74,17 @@ class SpeedMacrosConfig(Section):
         """All macros: ours first."""
         return tuple(self.model_dump(exclude_none=True).values())
 
-    @model_validator(mode="after")
-    def _distinct(self) -> "SpeedMacrosConfig":
-        problems: list[tuple[KeyPath, str]] = []
+    @checked
+    def _distinct(self) -> Problems:
         seen: dict[int, str] = {}
         for key, number in self.model_dump(exclude_none=True).items():
             if number in seen:
-                problems.append(((key,), f"#{number} is used twice: it is {seen[number]} already"))
+                yield (key,), f"#{number} is used twice: it is {seen[number]} already"
             seen.setdefault(number, key)
             if not (100 <= number <= 199 or 500 <= number <= 999):
-                problems.append(((key,), f"only common variables (#100-#199, #500-#999) are ours, not #{number}"))
+                yield (key,), f"only common variables (#100-#199, #500-#999) are ours, not #{number}"
         if not 100 <= self.valid_until <= 199:
-            problems.append((("valid_until",), "must be one of #100-#199, which power-off clears"))
-        if problems:
-            raise KeyProblems(problems)
-        return self
+            yield ("valid_until",), "must be one of #100-#199, which power-off clears"
 
 
 Frequency = Annotated[float, Field(gt=0)]
@@ -172,33 +168,25 @@ class SpindleSpeedConfig(Section):
     stale_after_s: Seconds = Field(60.0, description="without newer dynamics for this long the speed is frozen")
     validity_s: Seconds = Field(30.0, description="how far valid_until lies ahead of the CNC's clock")
 
-    @model_validator(mode="after")
-    def _sensible(self) -> "SpindleSpeedConfig":
-        problems: list[tuple[KeyPath, str]] = []
+    @checked
+    def _sensible(self) -> Problems:
         for index, operation in enumerate(self.operations):
             for axis in operation.near_hz:
                 if axis not in operation.spindles:
-                    problems.append((("operations", index, "near_hz", axis), f"there is no spindle along {axis}"))
+                    yield ("operations", index, "near_hz", axis), f"there is no spindle along {axis}"
         if self.lowest_rpm >= self.highest_rpm:
-            problems.append((("lowest_rpm",), "must be below highest_rpm"))
+            yield ("lowest_rpm",), "must be below highest_rpm"
         for index, operation in enumerate(self.operations):
             if operation.highest_rpm is not None and operation.highest_rpm <= self.lowest_rpm:
-                problems.append((("operations", index, "highest_rpm"), "must be above lowest_rpm"))
+                yield ("operations", index, "highest_rpm"), "must be above lowest_rpm"
         highest_rpm = min(self.highest_of(operation) for operation in self.operations)
         if self.hysteresis_rpm > (allowed_rpm := self.tolerance_rpm(highest_rpm)):
             text = f"more than tolerance_percent allows at the highest speed of {highest_rpm:g}: {allowed_rpm:g} 1/min"
-            problems.append((("hysteresis_rpm",), f"{text} off the command is verified; change one of the two"))
-        keys = [(operation.tool_number, operation.program) for operation in self.operations]
-        for index, key in enumerate(keys):
-            if key in keys[:index]:
-                problems.append((("operations", index, "tool_number"), f"T{key[0]} is there already"))
+            yield ("hysteresis_rpm",), f"{text} off the command is verified; change one of the two"
+        for index, key in repeated((operation.tool_number, operation.program) for operation in self.operations):
+            yield ("operations", index, "tool_number"), f"T{key[0]} is there already"
         if self.validity_s <= 3.0 * self.read_period_s:
-            problems.append(
-                (("validity_s",), "must exceed three read_period_s, or the pair expires before the next reading")
-            )
-        if problems:
-            raise KeyProblems(problems)
-        return self
+            yield ("validity_s",), "must exceed three read_period_s, or the pair expires before the next reading"
 
     def tolerance_rpm(self, speed_rpm: float) -> float:
         """Return how far from a speed [1/min] what is verified of it holds [1/min]."""

@@ -4,9 +4,9 @@ import hashlib
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, WithJsonSchema, field_validator, model_validator
+from pydantic import Field, WithJsonSchema, field_validator
 
-from config.schema.base import RANGE_PATTERN, KeyPath, KeyProblems, Name, Seconds, Section
+from config.schema.base import RANGE_PATTERN, KeyPath, Name, Problems, Seconds, Section, checked, repeated
 from config.schema.source_drivers import SourceConfig
 from config.schema.sources import SourceSensorConfig
 from models.units import MLX90615_K_PER_LSB, TMP102_DEGC_PER_LSB
@@ -84,19 +84,18 @@ class LineConfig(Section):
             raise ValueError(f"a LATSIS line carries at most {LONGEST_CHAIN} sensors; this chain names {count}")
         return chain
 
-    @model_validator(mode="after")
-    def _grammar_matches_profile(self) -> "LineConfig":
+    @checked
+    def _grammar_matches_profile(self) -> Problems:
         if (self.profile == "custom") != (self.grammar is not None):
             key = "profile" if self.grammar is None else "grammar"
-            raise KeyProblems([((key,), "give `grammar` with profile custom, and only then")])
+            yield (key,), "give `grammar` with profile custom, and only then"
         highest, limit = self.id_offset + len(self.sensor_ids), 16**self.frame_grammar.id_digits - 1
         if highest > limit:
             sentence = (
                 f"the highest ID on the wire would be {highest}, but {self.frame_grammar.id_digits} hexadecimal "
                 f"digits end at {limit}: lower id_offset, shorten the chain, or use a grammar with 3 id_digits"
             )
-            raise KeyProblems([(("chain",), sentence)])
-        return self
+            yield ("chain",), sentence
 
     @cached_property
     def sensor_ids(self) -> tuple[int, ...]:
@@ -180,14 +179,13 @@ class CleansingConfig(Section):
         60.0, description="a held value older than this, and than 2.5 cycle periods, is missing, and begins anew"
     )
 
-    @model_validator(mode="after")
-    def _ordered(self) -> "CleansingConfig":
+    @checked
+    def _ordered(self) -> Problems:
         if self.min_degc >= self.max_degc:
-            raise KeyProblems([(("min_degc",), "min_degc must be below max_degc")])
-        if self.far_level_after_samples < self.release_after_samples:
+            yield ("min_degc",), "min_degc must be below max_degc"
+        elif self.far_level_after_samples < self.release_after_samples:
             sentence = f"must not be below release_after_samples ({self.release_after_samples})"
-            raise KeyProblems([(("far_level_after_samples",), sentence)])
-        return self
+            yield ("far_level_after_samples",), sentence
 
 
 TemperatureInput = LineConfig | SourceConfig
@@ -219,16 +217,13 @@ class TemperaturesConfig(Section):
     )
     cleansing: CleansingConfig = Field(default_factory=CleansingConfig, description="which temperatures count")
 
-    @model_validator(mode="after")
-    def _consistent(self) -> "TemperaturesConfig":
-        problems = [*self._repeated_names(), *self._repeated_sensors(), *self._chain_problems()]
+    @checked
+    def _consistent(self) -> Problems:
+        yield from (*self._repeated_names(), *self._repeated_sensors(), *self._chain_problems())
         if not self.inputs:
             sentence = "there is nothing to read: describe a LATSIS line here, or another source under `sources`"
-            problems.append((("lines",), sentence))
-        problems += [*self._shared_ports(), *self._wider_ranges()]
-        if problems:
-            raise KeyProblems(problems)
-        return self
+            yield ("lines",), sentence
+        yield from (*self._shared_ports(), *self._wider_ranges())
 
     @property
     def _places(self) -> list[KeyPath]:
@@ -236,35 +231,28 @@ class TemperaturesConfig(Section):
         lines: list[KeyPath] = [("lines", index) for index in range(len(self.lines))]
         return [*lines, *(("sources", index) for index in range(len(self.sources or ())))]
 
-    def _repeated_names(self) -> list[tuple[KeyPath, str]]:
+    def _repeated_names(self) -> Problems:
         names, places = [each.name for each in self.inputs], self._places
-        return [
-            ((*at, "name"), f"two {at[0] if at[0] == first[0] else 'inputs'} have the same name {name!r}")
-            for at, name in zip(places, names, strict=True)
-            if (first := places[names.index(name)]) != at
-        ]
+        for index, name in repeated(names):
+            at, first = places[index], places[names.index(name)]
+            yield (*at, "name"), f"two {at[0] if at[0] == first[0] else 'inputs'} have the same name {name!r}"
 
-    def _shared_ports(self) -> list[tuple[KeyPath, str]]:
-        """Return which ports two lines, two sources, or a line and a source would open."""
+    def _shared_ports(self) -> Problems:
+        """Yield which ports two lines, two sources, or a line and a source would open."""
         ports = {line.port: line.name for line in reversed(self.lines)}
-        problems: list[tuple[KeyPath, str]] = [
-            (("lines", index, "port"), f"another line uses the port {line.port}")
-            for index, line in enumerate(self.lines)
-            if line.port in {other.port for other in self.lines[:index]}
-        ]
+        for index, port in repeated(line.port for line in self.lines):
+            yield ("lines", index, "port"), f"another line uses the port {port}"
         for index, source in enumerate(self.sources or ()):
             if (exclusive := source.connection.exclusive) is None:
                 continue
             key, port = exclusive
             if (other := ports.setdefault(port, source.name)) != source.name:
                 at: KeyPath = ("sources", index, source.driver, key)
-                problems.append((at, f"{other} uses {port} already; put what hangs on one bus into one source"))
-        return problems
+                yield at, f"{other} uses {port} already; put what hangs on one bus into one source"
 
-    def _wider_ranges(self) -> list[tuple[KeyPath, str]]:
-        """Return which sensors of sources claim a range that cleansing would refuse all the same."""
+    def _wider_ranges(self) -> Problems:
+        """Yield which sensors of sources claim a range that cleansing would refuse all the same."""
         lowest, highest = self.cleansing.min_degc, self.cleansing.max_degc
-        problems: list[tuple[KeyPath, str]] = []
         for index, source in enumerate(self.sources or ()):
             for place, sensor in enumerate(source.sensors):
                 at: KeyPath = ("sources", index, source.driver, "sensors", place)
@@ -272,45 +260,35 @@ class TemperaturesConfig(Section):
                     sentence = (
                         f"is below cleansing.min_degc ({lowest:g}), which refuses such values: lower that as well"
                     )
-                    problems.append(((*at, "min_degc"), sentence))
+                    yield (*at, "min_degc"), sentence
                 if sensor.max_degc is not None and sensor.max_degc > highest:
                     sentence = (
                         f"is above cleansing.max_degc ({highest:g}), which refuses such values: raise that as well"
                     )
-                    problems.append(((*at, "max_degc"), sentence))
-        return problems
+                    yield (*at, "max_degc"), sentence
 
-    def _repeated_sensors(self) -> list[tuple[KeyPath, str]]:
+    def _repeated_sensors(self) -> Problems:
         places: list[tuple[KeyPath, int]] = [(("sensors", i), each.id) for i, each in enumerate(self.sensors)]
         for index, source in enumerate(self.sources or ()):
             places += [
                 (("sources", index, source.driver, "sensors", i), each.id) for i, each in enumerate(source.sensors)
             ]
-        seen: set[int] = set()
-        problems: list[tuple[KeyPath, str]] = []
-        for at, sensor_id in places:
-            if sensor_id in seen:
-                problems.append(((*at, "id"), f"sensor {sensor_id} is listed twice"))
-            seen.add(sensor_id)
-        return problems
+        for index, sensor_id in repeated(sensor_id for _, sensor_id in places):
+            yield (*places[index][0], "id"), f"sensor {sensor_id} is listed twice"
 
-    def _chain_problems(self) -> list[tuple[KeyPath, str]]:
+    def _chain_problems(self) -> Problems:
         known = {sensor.id for sensor in self.sensors}
         chained: set[int] = set()
-        problems: list[tuple[KeyPath, str]] = []
         for index, line in enumerate(self.lines):
             at: KeyPath = ("lines", index, "chain")
             if twice := sorted({i for i in line.sensor_ids if i in chained or line.sensor_ids.count(i) > 1}):
-                problems.append((at, f"sensors on two chain positions: {twice}"))
+                yield at, f"sensors on two chain positions: {twice}"
             if missing := sorted(set(line.sensor_ids) - known):
-                problems.append((at, f"the chain names sensors that are not listed: {missing}"))
+                yield at, f"the chain names sensors that are not listed: {missing}"
             chained |= set(line.sensor_ids)
-        problems += [
-            (("sensors", index, "id"), f"sensor {sensor.id} hangs on no chain")
-            for index, sensor in enumerate(self.sensors)
-            if sensor.id not in chained
-        ]
-        return problems
+        for index, sensor in enumerate(self.sensors):
+            if sensor.id not in chained:
+                yield ("sensors", index, "id"), f"sensor {sensor.id} hangs on no chain"
 
     @cached_property
     def inputs(self) -> tuple[TemperatureInput, ...]:
