@@ -1,6 +1,6 @@
 """Common base of all configuration sections, and what is said when a file is refused."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from typing import Annotated, Any, ClassVar, TypeVar, get_args
@@ -11,7 +11,7 @@ from models.errors import RefusedInputError
 from models.json_values import printable
 
 KeyPath = tuple[str | int, ...]
-Value = TypeVar("Value")
+Value = TypeVar("Value", bound=Hashable)
 
 
 class Section(BaseModel):
@@ -48,11 +48,11 @@ def checked(found: Callable[[Any], Problems]) -> Any:
 
 def repeated(values: Iterable[Value]) -> Iterator[tuple[int, Value]]:
     """Yield the place and the value of each that was there before."""
-    seen: list[Value] = []
+    seen: set[Value] = set()
     for place, value in enumerate(values):
         if value in seen:
             yield place, value
-        seen.append(value)
+        seen.add(value)
 
 
 def first_fault(error: ValidationError) -> str:
