@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import wraps
+from heapq import merge
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
@@ -53,6 +54,11 @@ def naming_damage(path: Path) -> Iterator[None]:
 
 OF_CYCLE = ("utc_ms", "monotonic_ms", "number")
 NEWEST_OF_FILES = "max(utc_ms) FROM displacements WHERE source NOT LIKE ?"
+LAST_PACKED = (
+    "SELECT max(end_ms) FROM chunks INDEXED BY chunks_by_time WHERE kind = ?1 AND start_ms > "
+    f"(SELECT max(start_ms) FROM chunks WHERE kind = ?1) - {HOUR_MS}"
+)
+"""The index tells where to look: the content of years would be read for each one's end."""
 
 
 def named_damage(read: Callable[Concatenate[R, P], T]) -> Callable[Concatenate[R, P], T]:
@@ -203,16 +209,14 @@ class RestartReader:
         return possible_macros(self._writes_backwards(packed=not of), of) or None
 
     def _writes_backwards(self, *, packed: bool) -> Iterator[WriteRecord]:
-        columns = ", ".join(WRITES.names)
-        for row in self._connection.execute(f"SELECT {columns} FROM writes ORDER BY write_id DESC"):
-            yield from write_records(frame_from_rows(WRITES, WRITES.names, [row]))
-        if not packed:
-            return
-        chunks = self._connection.execute(
-            "SELECT data FROM chunks WHERE kind = ? AND layout_id = 0 ORDER BY start_ms DESC", (WRITES.name,)
-        )
-        for (data,) in chunks:
-            yield from reversed(write_records(decode_frame(WRITES, data)))
+        """Yield the newest first, by number: a clock that was ahead for a while has left later times."""
+        query = f"SELECT {', '.join(WRITES.names)} FROM writes ORDER BY write_id DESC"
+        rows = (frame_from_rows(WRITES, WRITES.names, [row]) for row in self._connection.execute(query))
+        query = "SELECT data FROM chunks WHERE kind = ? ORDER BY last_row_id DESC"
+        hours = self._connection.execute(query, (WRITES.name,)) if packed else ()
+        frames = rows, (decode_frame(WRITES, data) for (data,) in hours)
+        records = ((each for frame in of for each in reversed(write_records(frame))) for of in frames)
+        yield from merge(*records, key=lambda record: -record.write_id)
 
     @named_damage
     def get_state(self, key: str) -> Any:
@@ -223,17 +227,14 @@ class RestartReader:
     @named_damage
     def last_displacement_utc_s(self) -> float | None:
         """Return the time of the newest displacement that stood in a file; of packed ones, of any; None without any."""
-        query = f"SELECT coalesce((SELECT {NEWEST_OF_FILES}), (SELECT max(end_ms) FROM chunks WHERE kind = ?))"
-        (newest_ms,) = self._connection.execute(query, (f"{OF_SOURCE}%", DISPLACEMENTS.name)).fetchone()
+        query = f"SELECT coalesce((SELECT {NEWEST_OF_FILES}2), ({LAST_PACKED}))"
+        (newest_ms,) = self._connection.execute(query, (DISPLACEMENTS.name, f"{OF_SOURCE}%")).fetchone()
         return None if newest_ms is None else float(newest_ms) / 1e3
 
     @named_damage
     def extent(self, kind: str) -> tuple[float, float] | None:
         """Return first and last time [s] of a kind ('temperatures', 'cnc', ..); None where there is nothing."""
-        with self._snapshot() as connection:
-            found = [
-                *connection.execute(f"SELECT min(utc_ms), max(utc_ms) FROM {TABLES[kind]}"),
-                *connection.execute("SELECT min(start_ms), max(end_ms) FROM chunks WHERE kind = ?", (kind,)),
-            ]
+        query = f"SELECT min(start_ms), ({LAST_PACKED}) FROM chunks WHERE kind = ?1 UNION ALL SELECT min(utc_ms), "
+        found = self._connection.execute(f"{query}max(utc_ms) FROM {TABLES[kind]}", (kind,))
         times = [ms / 1e3 for pair in found for ms in pair if ms is not None]
         return (min(times), max(times)) if times else None

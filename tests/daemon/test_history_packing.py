@@ -16,7 +16,7 @@ from config.schema.service import HistoryConfig
 from daemon.backup.making import copy_store
 from daemon.history.columns.kinds import CYCLES, KINDS
 from daemon.history.columns.packed_hour import PackedHour
-from daemon.history.columns.packing import pack_hours
+from daemon.history.columns.packing import missing_extremes, pack_hours
 from daemon.history.database import HistoryError, connect_reader, connect_writer
 from daemon.history.reader import HistoryReader
 from daemon.history.retention import store_hour
@@ -180,6 +180,54 @@ async def test_running_writer_packs_beside_its_work(store: Path) -> None:
     assert problems == []
     assert report is not None and report.packed_hours == 12
     assert everything(store) == before
+
+
+def test_what_is_asked_of_years_in_the_index_reads_not_what_they_hold(store: Path) -> None:
+    housekeeping(store, CONFIG, END_S + 7200.0)
+    times = "start_ms - 3600000 * (n + 1), end_ms - 3600000 * (n + 1)"
+    with closing(connect_writer(store)) as connection:
+        connection.execute(
+            "WITH RECURSIVE numbers(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM numbers WHERE n < 1000) "
+            "INSERT INTO chunks (kind, layout_id, start_ms, end_ms, row_count, data, last_row_id) "
+            f"SELECT kind, layout_id, {times}, row_count, randomblob(3000), last_row_id FROM chunks, numbers "
+            "WHERE chunk_id IN (SELECT max(chunk_id) FROM chunks GROUP BY kind)"
+        )
+        connection.execute(
+            "INSERT INTO extremes SELECT kind, layout_id, start_ms / 3600000 * 3600000, chunk_id, randomblob(900) "
+            "FROM chunks WHERE chunk_id NOT IN (SELECT chunk_id FROM extremes)"
+        )
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    assert store.stat().st_size > 20e6
+    with HistoryReader(store) as reader, closing(connect_reader(store)) as packing:
+        before = bytes_read()
+        assert reader.extent("cnc") == (EPOCH_S - 999 * 3600.0 + 1.0, END_S - 299.0)
+        assert reader.last_displacement_utc_s() == END_S - 300.0
+        assert list(missing_extremes(packing)) == []
+        assert bytes_read() - before < 1.5e6
+
+
+def bytes_read() -> int:
+    """Bytes that this process has read, from memory or disk."""
+    return int(Path("/proc/self/io").read_text().split()[1])
+
+
+def test_what_was_written_last_is_so_by_its_number_though_a_clock_was_ahead(store: Path) -> None:
+    """Hours of a clock that was ahead by years are not packed, or lie after all others once they are."""
+    writer = HistoryWriter(store, clock=StillClock(END_S + 4e8), machine=SMALL)
+    writer.start()
+    fill(writer, start_s=END_S + 4e8, hours=2)
+    writer.close()
+    for packed_at_s in (END_S, END_S + 4e8 + 7200.0):
+        housekeeping(store, CONFIG, packed_at_s)
+        writer = HistoryWriter(store, clock=StillClock(END_S), machine=SMALL)
+        writer.start()
+        written = ((500, 1.0), (501, packed_at_s))
+        write_id = writer.write_intent(make.command([0.0, 0.0, 0.0]), written, "cycle")
+        writer.write_outcome(write_id, make.receipt(END_S, written))
+        writer.close()
+        housekeeping(store, CONFIG, END_S + 7200.0)
+        with HistoryReader(store) as reader:
+            assert reader.last_written_macros() == {500: (1.0,), 501: (packed_at_s,)}
 
 
 def test_retention_is_per_kind_and_reaches_packed_hours(store: Path) -> None:

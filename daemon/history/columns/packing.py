@@ -158,11 +158,15 @@ def _pack_cycles(connection: sqlite3.Connection, kind: str, hour_ms: int, layout
 
 def missing_extremes(connection: sqlite3.Connection) -> Iterator[PackedHour]:
     """Yield the extremes of chunks that a version without them has packed, the newest first, a bounded number."""
+    kinds = TEMPERATURES, *KINDS
     chunks = connection.execute(
-        f"SELECT chunk_id, kind, layout_id, start_ms, end_ms, row_count, data FROM chunks AS c WHERE NOT EXISTS "
-        f"(SELECT 1 FROM extremes WHERE kind = c.kind AND layout_id = c.layout_id "
+        "SELECT chunk_id, kind, layout_id, start_ms, end_ms, row_count, data FROM chunks AS c "
+        # those that know their last row have extremes: the content of years would be read every ten minutes
+        f"WHERE kind IN ({', '.join('?' * len(kinds))}) AND last_row_id IS NULL AND NOT EXISTS "
+        "(SELECT 1 FROM extremes WHERE kind = c.kind AND layout_id = c.layout_id "
         f"AND hour_ms = c.start_ms / {HOUR_MS} * {HOUR_MS} AND chunk_id = c.chunk_id) "
-        f"ORDER BY start_ms DESC LIMIT {MOST_BELATED}"
+        f"ORDER BY start_ms DESC LIMIT {MOST_BELATED}",
+        kinds,
     )
     for chunk_id, kind, layout_id, start_ms, end_ms, row_count, data in chunks:
         try:
