@@ -108,3 +108,21 @@ def test_what_was_held_too_long_is_switched_on_again_and_what_a_person_switched_
     running: Any = SimpleNamespace(client=SimpleNamespace(ask=asked.append))
     assert switch_on_again(running, {"output": {"state": "OFF", "reason": reason}}) == again
     assert asked == ["enable"] * again
+
+
+def test_a_run_in_which_nobody_switches_on_fails_for_nothing_that_follows_from_it() -> None:
+    """It ended with 1 because the error had not become less, and on a busy computer with 1 and no check that failed."""
+    final = final_of({"bed": 900}, late_real_s=0.41)
+    final["truth"] = {"z": {"uncompensated_max_um": 23.7, "compensated_max_um": 23.7}}
+    status = status_with(received=900)
+    status["writes"] = {"sent": 0, "verified": 0}
+    axis = {"estimate_from": "Z1", "applied_um": None, "bound_um": 60.0, "wanted": False}
+    status["axes"] = {"z": axis}
+    numbers, failures = result(final, status, 60.0, 5.0, enabled=False)
+    assert failures == []
+    assert numbers["error_um"]["z"]["verdict"] == "not_judged"
+    assert len(result(final, status, 60.0, 5.0)[1]) == 5
+    status |= {"writes": {"sent": 9, "verified": 7}, "axes": {"z": axis | {"applied_um": 0.0}}}
+    said = result(final, status, 60.0, 5.0, enabled=False)[1]
+    assert said[1:] == ["2 writes were not verified", "axis z: 23.7 um left of 23.7 um"]
+    assert said[0].startswith("this computer is too slow")

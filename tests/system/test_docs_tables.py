@@ -6,7 +6,9 @@ import runpy
 from pathlib import Path
 
 import pytest
+from render_commands import commands
 
+from daemon.cli import main
 from daemon.simulation.demonstration import result
 from daemon.telemetry.metrics import Telemetry
 from drivers.guard import linuxcnc, sinumerik
@@ -162,3 +164,18 @@ def test_the_picture_of_the_terminal_is_the_view_as_it_is() -> None:
     render = runpy.run_path(str(DOCS / "images" / "render_demo.py"))
     last = (DOCS / "images" / "demo.svg").read_text(encoding="utf-8").splitlines()[-1]
     assert last == render["made_by"](), "the view has changed: .venv/bin/python -P docs/images/render_demo.py"
+
+
+def test_every_command_that_writes_json_is_where_its_keys_are() -> None:
+    """`dynamics blank` and `simulate` were on no page; below the heading of a group stands the last word alone."""
+    page = (DOCS / "reference" / "json-output.md").read_text(encoding="utf-8")
+    stability = (DOCS / "reference" / "stability-files.md").read_text(encoding="utf-8")
+    groups = {"dynamics": section("reference/json-output.md", DYNAMICS_HEADING), "stability": stability}
+    for path, command in commands(main):
+        if any("--json" in option.opts for option in command.params):
+            names = [f"`{path[-1]}`", *([] if path[0] in groups else [f"`toolpoint {' '.join(path)}"])]
+            text = groups.get(path[0], page)
+            assert any(re.search(rf"{re.escape(name)}(?![\w-])", text) for name in names), path
+
+
+DYNAMICS_HEADING = "## `toolpoint dynamics ... --json -`"

@@ -16,7 +16,6 @@ from config.loader import load_configuration
 from config.machines import shipped_file
 from config.records.commissioning import load_commissioning
 from daemon.cli import main
-from daemon.cli.simulate.own_machine import beyond_waiting
 from daemon.model_release.gate import machine_inhibit, unfit
 from daemon.model_release.loading import read_model
 from daemon.simulation import own_machine
@@ -95,13 +94,6 @@ def test_components_of_any_name_have_a_place_that_stays() -> None:
     assert placed("Spindle unit") == "Spindle unit"
     assert placed("Portal left") == "Column" and placed("Quill") == "Spindle unit" and placed("Raumluft") == "Ambient"
     assert placed("Querbalken 7") == placed("Querbalken 7")
-
-
-def test_a_run_in_which_nobody_switches_on_fails_for_nothing_that_follows_from_it() -> None:
-    """It ended with 1 because the error had not become less."""
-    failures = ["nothing was written", "axis z: 23.7 um left of 23.7 um", "2 writes were not verified"]
-    assert beyond_waiting(failures, written=False) == ["2 writes were not verified"]
-    assert beyond_waiting(failures, written=True) == failures[1:]
 
 
 @pytest.mark.wires
