@@ -11,7 +11,6 @@ import gc
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from types import ModuleType
 from typing import Any
 
 import click
@@ -86,119 +85,6 @@ def _loading_the_daemon() -> Iterator[None]:
         yield
 
 
-def _module_of(command: str) -> ModuleType:
-    """Import the module whose function has the command's name."""
-    match command:
-        case "run":
-            with _loading_the_daemon():
-                from daemon.cli.operate import run
-            return run
-        case "demo":
-            from daemon.cli.simulate import demo
-
-            return demo
-        case "simulate":
-            from daemon.cli.simulate import simulate
-
-            return simulate
-        case "replay":
-            from daemon.cli.simulate import replay
-
-            return replay
-        case "faults":
-            from daemon.cli.simulate import faults
-
-            return faults
-        case "latency":
-            from daemon.cli.simulate import latency
-
-            return latency
-        case "status" | "monitor" | "reference" | "enable" | "disable" | "acknowledge":
-            from daemon.cli.operate import operate
-
-            return operate
-        case "history" | "export":
-            from daemon.cli.operate import history
-
-            return history
-        case "sink":
-            from daemon.cli.operate import sink
-
-            return sink
-    return _module_of_group(command)
-
-
-def _module_of_group(command: str) -> ModuleType:
-    match command:
-        case "fleet":
-            from daemon.cli.fleet import group as fleet_group
-
-            return fleet_group
-        case "thermal":
-            from daemon.cli.thermal import group as thermal_group
-
-            return thermal_group
-        case "stability":
-            from daemon.cli.stability import group as stability_group
-
-            return stability_group
-        case "dynamics":
-            from daemon.cli.dynamics import group as dynamics_group
-
-            return dynamics_group
-    return _module_of_admin(command)
-
-
-def _module_of_admin(command: str) -> ModuleType:
-    """Do so for what sets a machine up and looks after it."""
-    match command:
-        case "check" | "doctor":
-            from daemon.cli.admin import doctor
-
-            return doctor
-        case "sources":
-            from daemon.cli.admin import sources
-
-            return sources
-        case "cnc":
-            from daemon.cli.admin import cnc
-
-            return cnc
-        case "guard":
-            from daemon.cli.admin import guard
-
-            return guard
-        case "sample-config" | "config-schema":
-            from daemon.cli.admin import configuration
-
-            return configuration
-        case "commission":
-            from daemon.cli.admin import commission
-
-            return commission
-        case "backup" | "restore":
-            from daemon.cli.admin import backup
-
-            return backup
-        case "model":
-            from daemon.cli.admin import model
-
-            return model
-        case "keys":
-            from daemon.cli.admin import keys
-
-            return keys
-        case "alarm":
-            from daemon.cli.operate import alarm
-
-            return alarm
-        case "users":
-            from daemon.cli.admin import users
-
-            return users
-    raise KeyError(command)
-
-
 def _open_standard_streams() -> None:
     """Open what whoever started this has closed, or a question would read the connection that takes its number."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
@@ -223,7 +109,14 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        command = getattr(_module_of(cmd_name), cmd_name.replace("-", "_"))
+        if cmd_name == "run":
+            with _loading_the_daemon():
+                from daemon.cli.operate import run as module
+        else:
+            from daemon.cli.commands import module_of
+
+            module = module_of(cmd_name)
+        command = getattr(module, cmd_name.replace("-", "_"))
         assert isinstance(command, click.Command)
         return command
 

@@ -6,7 +6,7 @@ A family is a form of model with a file and a way to run of its own. It touches 
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from models.model_file import ModelError, family_of, parse
+from models.model_file import ModelError, family_of
 from models.records import FloatArray
 from models.thermal.bias import Wander
 from models.thermal.estimation import Machine, OnlineModel
@@ -130,7 +130,7 @@ def model_from_json(content: str | bytes, source: str) -> ThermalModel:
         if family is None:
             from models.thermal.old_formats import old_model  # noqa: PLC0415 - loaded only where such a model is
 
-            return old_model(parse(data.decode()))
+            return old_model(data.decode())
         if family == MACHINE_TYPE:
             raise ModelError("family", "is a type of machine: `toolpoint thermal train --prior` makes a model of it")
         if family not in FAMILIES:

@@ -1,9 +1,9 @@
 """Reads thermal models in the formats of versions up to 0.1.0."""
 
-from collections.abc import Mapping
 from typing import Any
 
-from models.model_file import ModelError, record_from, unsigned
+from models.headless_file import parse, record_from, unsigned
+from models.model_file import ModelError
 from models.thermal.linear import LinearModel
 
 SAME_1 = {"model_id", "kind", "channels", "sensor_ids", "sensor_names", "drift_um_per_min", "band_um", "training"}
@@ -15,12 +15,13 @@ OWN_2 = {"ridges", "leverage_limit", "lowest_degc", "highest_degc", "highest_spe
 OPTIONAL = {"axis_positions"}
 
 
-def old_model(content: Mapping[str, Any]) -> LinearModel:
+def old_model(text: str) -> LinearModel:
     """Return the model that a file of format 1 (telescoped) or 2 (with lags) holds, as versions up to 0.1.0 wrote them.
 
-    Raises ModelError naming the key: an unknown format version, missing or unknown keys, a checksum that differs, or
-    what the model itself refuses.
+    Raises ModelError naming the key: not JSON, an unknown format version, missing or unknown keys, a checksum that
+    differs, or what the model itself refuses.
     """
+    content = parse(text)
     version = content.get("format_version")
     if isinstance(version, bool) or version not in (1, 2):
         raise ModelError("format_version", f"{version!r} is unknown; this version of Toolpoint reads 1, 2 and 3")
@@ -29,7 +30,7 @@ def old_model(content: Mapping[str, Any]) -> LinearModel:
         raise ModelError(missing[0], "is missing")
     if unknown := sorted(set(content) - wanted - OPTIONAL):
         raise ModelError(unknown[0], "is not a key of this format")
-    bare = unsigned(dict(content), "training")
+    bare = unsigned(content, "training")
     try:
         fields = _telescoped(bare) if version == 1 else _lagged(bare)
     except (TypeError, ValueError, KeyError, IndexError, AttributeError) as error:

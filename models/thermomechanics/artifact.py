@@ -4,7 +4,8 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from models.model_file import ModelError, parse, record_from, text_of_file, unsigned
+from models.headless_file import parse, record_from, text_of_file, unsigned
+from models.model_file import ModelError
 from models.thermomechanics.regression import ThermomechanicalModel
 
 FORMAT = "toolpoint-thermomechanics"

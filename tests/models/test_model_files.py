@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from signed_models import signed
 
-from models.model_file import ModelError, content_sha256
+from models.headless_file import content_sha256
+from models.model_file import ModelError
 from models.thermal.family import model_from_json
 from models.thermal.linear import LinearModel
 from models.thermal.model import TrainingData
