@@ -34,6 +34,13 @@ class ReleaseRecord(Section):
     trained_on: str = Field("", description="another machine of which a person said that its models serve this one")
     reads: dict[str, str] = Field(default_factory=dict[str, str], description="what each input of the model read")
 
+    @property
+    def leads_back_to(self) -> set[int]:
+        """Numbers of the releases that it names: what was active before, and what a rollback went back to."""
+        gone_back_to = self.source.removeprefix("release ") if self.action == "rollback" else ""
+        before = set() if self.previous is None else {self.previous.number}
+        return before | ({int(gone_back_to)} if gone_back_to.isdecimal() else set())
+
 
 class ReleaseRecordError(Exception):
     """The record cannot be read; the text says why."""

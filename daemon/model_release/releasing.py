@@ -138,8 +138,7 @@ def release(
         now, names = inputs_now(configuration), kind.inputs(model)
         reads = {name: now[name] for name in names if name in now}
         record = record.model_copy(update={"trained_on": trained_on, "reads": reads})
-        repository.add(record, content, key)
-    return record
+        return repository.add(record, content, key)
 
 
 def _refuse_another_machine(
@@ -197,8 +196,7 @@ def rollback(
             repository, "rollback", model, content, person=person, source=f"release {number}", note=note, checks=checks
         )
         record = record.model_copy(update={"trained_on": found.trained_on, "reads": found.reads})
-        repository.add(record, content, key)
-    return record
+        return repository.add(record, content, key)
 
 
 def proposal_named(configuration: Configuration, given: Path) -> Path:

@@ -1,7 +1,7 @@
 """The folder of released models: one folder per release, and a symbolic link that names the active one.
 
-model.json -> releases/0003/model.json. A release folder is complete before it gets its name, and is never changed
-again; activating renames one link, so that nobody ever reads half of a release.
+model.json -> releases/0003/model.json. A release folder is complete before it gets its name; later only the model in it
+is ever removed, its record stays. Activating renames one link, so that nobody ever reads half of a release.
 """
 
 import fcntl
@@ -20,6 +20,8 @@ from config.signing_key import SigningKey
 from daemon.model_release.active import RECORD_NAME, released
 
 MODEL_NAME = "model.json"
+MODELS_KEPT = 100
+"""A proposal every eight hours makes a thousand releases a year, of up to 10 MiB each: older models are removed."""
 READABLE_FILE, READABLE_FOLDER = 0o644, 0o755
 """The daemon is another user and only reads."""
 
@@ -65,7 +67,7 @@ class ReleaseRepository:
 
     def content(self, number: int) -> tuple[ReleaseRecord, bytes]:
         """Return a release and its model's bytes, or raise ReleaseError when they do not belong together."""
-        folder = self.releases / f"{number:04d}"
+        folder = self._folder(number)
         if not folder.exists():
             there = ", ".join(str(each.number) for each in self.records())
             raise ReleaseError(f"there is no release {number} in {self.releases}; there are: {there or 'none'}")
@@ -74,6 +76,11 @@ class ReleaseRepository:
             content = read_whole(folder / MODEL_NAME)
         except ReleaseRecordError as error:
             raise ReleaseError(str(error)) from error
+        except FileNotFoundError as error:
+            raise ReleaseError(
+                f"{folder / MODEL_NAME}: is gone, only the record of release {number} is there; the models of the "
+                f"newest {MODELS_KEPT} releases are kept: release it again from its file, or from a back-up"
+            ) from error
         except OSError as error:
             raise ReleaseError(f"{folder / MODEL_NAME}: cannot be read ({error.strerror})") from error
         if sha256_of(content) != record.sha256:
@@ -98,14 +105,41 @@ class ReleaseRepository:
         finally:
             os.close(descriptor)
 
+    def _outdated(self, record: ReleaseRecord) -> list[Path]:
+        """Return the models that go once this release is active: none that a kept record leads back to.
+
+        A rollback names the release that it went back to, whose record says what the next one goes back to. What
+        another account has released is that one's to remove.
+        """
+        known = {each.number: each for each in (*self.records(), record)}
+        kept = set(sorted(known)[-MODELS_KEPT:])
+        for _ in range(2):
+            kept |= {number for each in kept & known.keys() for number in known[each].leads_back_to}
+        paths = [self._folder(number) / MODEL_NAME for number in sorted(known.keys() - kept) if self.holds(number)]
+        return [path for path in paths if os.access(path.parent, os.W_OK, effective_ids=True)]
+
+    def holds(self, number: int) -> bool:
+        """Say whether the model of a release is there; of old ones the record alone is."""
+        return (self._folder(number) / MODEL_NAME).exists()
+
+    def _folder(self, number: int) -> Path:
+        return self.releases / f"{number:04d}"
+
     def next_number(self) -> int:
         return max((int(folder.name) for folder in self.folders()), default=0) + 1
 
-    def add(self, record: ReleaseRecord, content: bytes, key: SigningKey | None = None) -> None:
-        """Put a release into the folder, signed where there is a key, and make it the active one."""
+    def add(self, record: ReleaseRecord, content: bytes, key: SigningKey | None = None) -> ReleaseRecord:
+        """Put a release into the folder, signed where there is a key, and make it the active one; return its record.
+
+        That says too which older models are removed for it.
+        """
+        if outdated := self._outdated(record):
+            numbers = ", ".join(path.parent.name.lstrip("0") for path in outdated)
+            gone = f"removed the models of releases that nothing leads back to, their records stay: {numbers}"
+            record = record.model_copy(update={"checks": [*record.checks, gone]})
         unsaid = {key for key in ("trained_on", "reads") if not getattr(record, key)}  # unknown to versions before
         text = record.model_dump_json(indent=2, exclude=unsaid).encode() + b"\n"
-        folder = self.releases / f"{record.number:04d}"
+        folder = self._folder(record.number)
         try:
             made = Path(tempfile.mkdtemp(prefix=".new-", dir=self.releases))
             try:
@@ -119,8 +153,11 @@ class ReleaseRepository:
                 shutil.rmtree(made, ignore_errors=True)
             sync_folder(self.releases)
             self._point_to(folder)
+            for path in outdated:
+                path.unlink(missing_ok=True)
         except OSError as error:
             raise self._unwritable(error) from error
+        return record
 
     def _point_to(self, folder: Path) -> None:
         link = self.model_file.with_name(f".{self.model_file.name}.{os.getpid()}.link")

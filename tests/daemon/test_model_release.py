@@ -13,6 +13,7 @@ from other_user import OTHER, as_root, as_user
 from small_model import model
 
 from config.schema.compensation import ReleaseConfig
+from daemon.model_release import repository
 from daemon.model_release.file_access import Account, account_of_daemon, how_it_could_change, own_account
 from daemon.model_release.loading import load_released
 from daemon.model_release.releasing import person_now, proposals, release, repository_of, rollback
@@ -188,6 +189,28 @@ def test_going_back_ends_with_the_first_release_though_its_model_was_released_tw
     assert [rollback(configuration, person="ben").model_id for _ in range(2)] == ["ridge-2", "ridge-1"]
     with pytest.raises(ReleaseError, match="no earlier release"):
         rollback(configuration, person="ben")
+
+
+def test_models_of_releases_that_nothing_leads_back_to_are_removed_and_said_in_the_record(folder, monkeypatch):
+    """Every eight hours a proposal of up to 10 MiB: without an end 10 GiB a year."""
+    monkeypatch.setattr(repository, "MODELS_KEPT", 3)
+    configuration = configured(folder)
+    for number in range(1, 6):
+        release(configuration, proposal(folder, model(f"ridge-{number}")), person="anna")
+    assert rollback(configuration, person="anna", to=2).number == 6
+    shelf = repository_of(configuration)
+    there = [number for number in range(1, 7) if (shelf.releases / f"000{number}/model.json").exists()]
+    assert there == [1, 2, 3, 4, 5, 6], "going back again leads to 1, and the oldest that is kept, 4, replaced 3"
+    for number in range(7, 10):
+        last = release(configuration, proposal(folder, model(f"ridge-{number}")), person="anna")
+    there = [number for number in range(1, 10) if (shelf.releases / f"000{number}/model.json").exists()]
+    assert there == [2, 5, 6, 7, 8, 9] and last.checks[-1].endswith("their records stay: 1, 4"), last.checks
+    assert load_released(configuration, own_account()).record == last == shelf.records()[-1]
+    assert [each.number for each in shelf.records()] == [*range(1, 10)]
+    assert [shelf.holds(number) for number in (1, 2, 3)] == [False, True, False]
+    with pytest.raises(ReleaseError, match=r"only the record of release 3 is there; the models of the newest 3"):
+        rollback(configuration, person="anna", to=3)
+    assert rollback(configuration, person="anna").model_id == "ridge-8"
 
 
 def refusal(folder: Path, path: Path, **changes: object) -> str:

@@ -160,6 +160,7 @@ def list_command(bearings: bool, config_path: Path, json_path: str | None) -> No
         click.echo(
             f"{mark} {record.number:4d}  {record.released}  {record.action:8}  {record.model_id}  "
             f"{record.sha256[:12]}  {record.person}  {record.note}".rstrip()
+            + ("" if repository.holds(record.number) else "  (its model was removed)")
         )
     if not records and json_path is None:
         click.echo("no model has been released")
