@@ -58,11 +58,14 @@ class ModelInUse:
         """Jumps until then are no more to be told from what a sensor had drifted."""
         give_memory_back()  # of reading the file and of preparing the model
 
-    def prepare(self, now_s: float) -> None:
-        """Fill states and watch from the history of the last hours; once, in a thread, before the first sample."""
+    def prepare(self, now_s: float, wrong: Mapping[int, str]) -> None:
+        """Fill states and watch from the history of the last hours; once, in a thread, before the first sample.
+
+        `wrong`: sensors that had been found wrong (ID: sign), so that what it tells of them is not to stay.
+        """
         if self._online.memory_min > 0.0:
             known_h: list[float] = []
-            self._online.rebuild(self._noted(self._samples(now_s, self._online.memory_min), known_h))
+            self._online.rebuild(self._noted(self._samples(now_s, self._online.memory_min), known_h), wrong)
             hours = {"known_h": round(sum(known_h), 2), "of_h": round(self._online.memory_min / 60.0, 2)}
             log.info("states.rebuilt", model=self.model.model_id, confidence=round(self._online.filled, 3), **hours)
 

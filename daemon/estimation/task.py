@@ -98,6 +98,7 @@ class ThermalTask:
         self._next: ModelInUse | None = None  # waits for an estimate to go on from, or a reference
         self._follows: tuple[str, FloatArray] | None = None  # see ThermalErrorEstimate
         self._since = SinceReference(self._sensor_ids, self._labels)
+        self._wrong_before = partial(_wrong_before, self._cleansing, self._since, self._sensor_ids)
         self._levels = LevelMemory(history, configuration.reads, clock)
         self._cleansing.levels, self._since.excluded = self._levels.restored(), self._levels.excluded_before()
         self._cleansing.units.recall(self._levels.units)
@@ -138,7 +139,7 @@ class ThermalTask:
 
     async def _prepare(self) -> None:
         if self._online is not None:
-            await asyncio.to_thread(self._online.prepare, self._clock.now().monotonic_s)
+            await asyncio.to_thread(self._online.prepare, self._clock.now().monotonic_s, self._wrong_before())
 
     async def _take(self, item: Message) -> None:
         if isinstance(item, TemperatureCycle):
@@ -176,10 +177,9 @@ class ThermalTask:
         """Estimate with it from the next cycle on, continuously; `at_once`: the one in use, whose past has changed."""
         if (online := self._in_use(model)) is not None:
             now_s = self._clock.now().monotonic_s
-            await asyncio.to_thread(online.prepare, now_s)
+            await asyncio.to_thread(online.prepare, now_s, wrong := self._wrong_before())
             if self._reference is not None:
-                wrong = {} if at_once else _wrong_before(self._cleansing, self._sensor_ids)
-                await self._count_from_reference(online, self._reference, now_s, wrong)
+                await self._count_from_reference(online, self._reference, now_s, {} if at_once else wrong)
         at_once = at_once or self._online is None or online is None or self._reference is None
         self._online, self._next = (online, None) if at_once else (self._online, online)
         self._follows = None if at_once else self._follows
@@ -418,9 +418,10 @@ def _waits_for(
     return to.waits
 
 
-def _wrong_before(cleansing: Cleansing, sensor_ids: tuple[int, ...]) -> dict[int, str]:
+def _wrong_before(cleansing: Cleansing, since: SinceReference, sensor_ids: tuple[int, ...]) -> dict[int, str]:
     """Return who was found wrong until a reference: lags from the history hold that until they are set right."""
-    return {sensor_ids[i]: DEPARTURE for i in np.flatnonzero(cleansing.levels.lasting_k > UNKNOWN_K / 2)}
+    places = np.flatnonzero(cleansing.levels.lasting_k > UNKNOWN_K / 2)
+    return {sensor_ids[place]: DEPARTURE for place in places} | since.excluded
 
 
 def _machine(temperatures: TemperaturesConfig) -> Machine:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, Protocol
 
 import numpy as np
@@ -87,8 +88,8 @@ class OnlineModel(Protocol):
     def filled(self) -> float:
         """How far the states are known, 0..1: what a reference now would be worth."""
 
-    def rebuild(self, history: Samples) -> None:
-        """Fill what remembers the past from the history; once, before the first sample."""
+    def rebuild(self, history: Samples, wrong: Mapping[int, str] = MappingProxyType({})) -> None:
+        """Fill what remembers the past from the history, in which sensors may have been wrong (ID: sign); once."""
 
     def on_sample(self, time_min: float, degc: FloatArray, speed_rpm: float) -> None:
         """Take temperatures [degC] and spindle speed [1/min], NaN where unknown."""

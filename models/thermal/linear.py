@@ -9,6 +9,7 @@ reference, and brings it back with it.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -80,10 +81,10 @@ class LinearOnline:
             return 1.0
         return 0.0 if self._state is None else self._estimator.settled(self._state)
 
-    def rebuild(self, history: Samples) -> None:
+    def rebuild(self, history: Samples, wrong: Mapping[int, str] = MappingProxyType({})) -> None:
         """Fill the states and the watch from the history; a model without lags and watch has nothing to fill."""
         if self.memory_min > 0.0:
-            self._state = self._estimator.rebuild(history, bridged=True)
+            self._state, self._left_out = self._estimator.rebuild(history, bridged=True), dict(wrong)
 
     def on_sample(self, time_min: float, degc: FloatArray, speed_rpm: float) -> None:
         """Advance the states when a sample of the training's period is due; temperatures [degC], speed [1/min]."""
@@ -126,6 +127,8 @@ class LinearOnline:
 
     def set_reference(self, reference: OnlineReference) -> tuple[int, ...]:
         """Keep the states at the reference; those of one that lies back come from its history."""
+        if self._left_out and reference.excluded is None:
+            self._state = self._now(reference.now_min, reference.degc)
         before, counted = self._state, self._reference if reference.excluded is None else None
         readmitted_ids = self._readmit(reference.jumped_k) if reference.excluded is None else ()
         self._left_out = dict(reference.excluded or {}) if self.model.watch is None else {}
@@ -234,7 +237,7 @@ class LinearOnline:
 
     def _counted(self, degc: FloatArray) -> FloatArray:
         """Return the temperatures without those of sensors that another model found wrong [degC]."""
-        if not self._left_out:
+        if self._reference is None or not self._left_out:
             return degc
         return np.where(np.isin(self.model.sensor_ids, list(self._left_out)), np.nan, degc)
 
@@ -272,7 +275,8 @@ class LinearOnline:
         """
         if self._state is None:
             return ()
-        out = () if self._state.watch is None else self._state.watch.excluded
+        watched = () if self._state.watch is None else self._state.watch.excluded
+        out = sorted({*watched, *np.flatnonzero(np.isin(self.model.sensor_ids, [*self._left_out])).tolist()})
         state, sensors = readmitted(self._state, out), self.model.layout.sensors
         jumped_k = np.zeros(sensors) if jumped_k is None else jumped_k
         if here := [i for i in {*out, *np.flatnonzero(jumped_k).tolist()} if not state.missing[i]]:

@@ -728,30 +728,57 @@ def test_a_model_with_lags_of_speed_alone_takes_up_again_what_a_sensor_that_retu
     np.testing.assert_allclose(resumed.thermal_error_um, found.thermal_error_um, atol=0.1)
 
 
+async def drifted_and_back(tmp_path, model, wrong):
+    """A shop in which the first sensor drifted by 6 K, went back in half an hour, and was positioned twice with."""
+    (folder := tmp_path / str(wrong)).mkdir()
+    shop = Shop(folder, model)
+    await shop.prepare()
+    await shop.run(PAST_MIN + 20)
+    await shop.refer()
+    drift_k = np.interp(np.arange(len(shop.degc)) - shop.minute, [0.0, 60.0, 90.0], [0.0, 6.0, 0.0])
+    shop.degc[:, 0] += wrong * drift_k
+    await shop.run(95)
+    await shop.refer()
+    await shop.run(2)
+    await shop.history.flushed()
+    return shop
+
+
+@pytest.mark.parametrize("watched", [True, False])
 async def test_a_model_that_is_released_after_a_sensor_was_wrong_counts_it_from_the_next_positioning_on(
-    tmp_path, model
+    tmp_path, model, watched
 ):
     """The history tells how it drifted by 6 K; the lags of the model in use were set right, not another's: 0.4 um."""
     lags, off_um = [], []
     for wrong in (False, True):
-        (folder := tmp_path / str(wrong)).mkdir()
-        shop = Shop(folder, model)
-        await shop.prepare()
-        await shop.run(PAST_MIN + 20)
-        await shop.refer()
-        drift_k = np.interp(np.arange(len(shop.degc)) - shop.minute, [0.0, 60.0, 90.0], [0.0, 6.0, 0.0])
-        shop.degc[:, 0] += wrong * drift_k
-        await shop.run(95)
-        await shop.refer()
-        await shop.run(2)
-        await shop.history.flushed()
-        await shop.task.use_model(replace(model, model_id="released"))
+        shop = await drifted_and_back(tmp_path, model, wrong)
+        await shop.task.use_model(replace(model, model_id="released", watch=model.watch if watched else None))
         await shop.run(3)
         off_um.append(shop.latest.thermal_error_um)
         assert (shop.latest.model_id, shop.latest.imputed) == ("released", (1,) * wrong)
+        shop.clock.monotonic_s += 7.0
         await shop.refer()
         await shop.run(1)
         assert shop.latest.imputed == ()
+        lags.append(shop.task._online._online._state.lagged[:, 0])
+        await shop.end()
+    assert off_um[1] == pytest.approx(off_um[0], abs=0.1)
+    assert lags[1] == pytest.approx(lags[0], abs=0.1)
+
+
+async def test_nor_does_a_restart_that_takes_no_reference_up_read_into_the_lags_what_it_said(tmp_path, model):
+    """Half an hour after the work was positioned again: 1.2 um without a watch, which found it wrong once more."""
+    lags, off_um = [], []
+    for wrong in (False, True):
+        shop = await drifted_and_back(tmp_path, model, wrong)
+        await shop.end()
+        shop.begin()
+        await shop.prepare()
+        await shop.run(1)
+        await shop.refer()
+        await shop.run(30)
+        assert shop.latest.imputed == ()
+        off_um.append(shop.latest.thermal_error_um)
         lags.append(shop.task._online._online._state.lagged[:, 0])
         await shop.end()
     assert off_um[1] == pytest.approx(off_um[0], abs=0.1)

@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -97,7 +98,7 @@ class MeanOnline:
     def excluded(self) -> dict[int, str]:
         return {}
 
-    def rebuild(self, history: Samples) -> None:
+    def rebuild(self, history: Samples, wrong: Mapping[int, str] = MappingProxyType({})) -> None:
         raise AssertionError("there are no states")
 
     def on_sample(self, time_min: float, degc: FloatArray, speed_rpm: float) -> None: ...

@@ -172,5 +172,4 @@ class TwinLoop:
         await self.loop.start()
         thermal = self.loop.thermal
         await thermal.recall()
-        assert thermal._online is not None
-        thermal._online.prepare(self.loop.clock.now().monotonic_s)
+        await thermal._prepare()

@@ -414,7 +414,7 @@ def test_model_files_give_the_same_estimates(name: str, rewritten: bool, series:
     machine = Machine(components=dict(zip(SENSOR_IDS, series["components"], strict=True)))
     followed = ModelInUse(model, SENSOR_IDS, machine, past)
     reference_s = float(time_s[begin])
-    followed.prepare(reference_s)
+    followed.prepare(reference_s, {})
     followed.on_sample(reference_s, degc[begin], float(rpm[begin]))
     reference = Reference(
         reference_id="r1",
