@@ -187,7 +187,7 @@ class ModelInUse:
         wanted_s = self.model.period_s
         if wanted_s is not None and abs(wanted_s - mean_s) > 1e-6:
             return (
-                f"model {self.model.model_id} was fitted on means over {wanted_s:g} s; "
+                f"model {self.model.model_id} needs means over {wanted_s:g} s; "
                 f"set compensation.reference.mean_s: {wanted_s:g}"
             )
         known = self._online.filled

@@ -169,20 +169,11 @@ class LinearEstimator:
     def _lags(
         self, state: ModelState, elapsed_min: float, degc: FloatArray, speed_rpm: float
     ) -> tuple[FloatArray, FloatArray]:
-        layout, scale_rpm = self.model.layout, self.model.speed_scale_rpm
-        before, now = speed_inputs(np.array([state.speed_rpm, speed_rpm]), scale_rpm)
-        lagged = [
-            lag_step(state.lagged[index], state.degc, degc, elapsed_min, constant_min)
-            for index, constant_min in enumerate(layout.lags_min)
-        ]
-        speed_lagged = [
-            lag_step(state.speed_lagged[index], before, now, elapsed_min, constant_min)
-            for index, constant_min in enumerate(layout.speed_lags_min)
-        ]
-        return (
-            np.array(lagged).reshape(len(layout.lags_min), layout.sensors),
-            np.array(speed_lagged).reshape(len(layout.speed_lags_min), 2),
-        )
+        layout = self.model.layout
+        before, now = speed_inputs(np.array([state.speed_rpm, speed_rpm]), self.model.speed_scale_rpm)
+        lags_min, speed_lags_min = (np.array(each)[:, None] for each in (layout.lags_min, layout.speed_lags_min))
+        lagged = lag_step(state.lagged, state.degc, degc, elapsed_min, lags_min)
+        return lagged, lag_step(state.speed_lagged, before, now, elapsed_min, speed_lags_min)
 
     def _watched(
         self, watch: WatchState | None, time_min: float, degc: FloatArray, speed_rpm: float, find_faults: bool

@@ -78,15 +78,15 @@ def canonical(coefficients: FloatArray, layout: Layout, design: Design) -> Float
 
 
 def lag_step(
-    lagged: FloatArray, before: FloatArray, now: FloatArray, elapsed_min: float, time_constant_min: float
+    lagged: FloatArray, before: FloatArray, now: FloatArray, elapsed_min: float, time_constant_min: FloatArray | float
 ) -> FloatArray:
     """Return a first-order lag after one interval in which its input went straight from one value to another.
 
     Result: the lag at the end of the interval, in the unit of the input.
 
-    `lagged`, `before`, `now`, same shape: lag and input at the beginning of the interval, and input at its end.
+    `lagged`, `before`, `now`: lag and input at the beginning of the interval, and input at its end.
     `elapsed_min`: length of the interval [min]; 0 leaves the lag as it is. `time_constant_min`: time constant [min],
-    positive.
+    positive; of several lags, shape (n_lags, 1).
     """
     if elapsed_min <= 0.0:
         return lagged.copy()

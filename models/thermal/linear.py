@@ -41,7 +41,7 @@ BACK_SHARE = 0.5
 
 
 class LinearOnline:
-    """Advances the states once per sample of the training's period; estimates whenever it is asked.
+    """Advances the states once per mean of its inputs; estimates whenever it is asked.
 
     `model`: the model. `machine`: components of its sensors, which a model without ridges takes for each other, and
     the steps in which they count. `estimator`: what runs it.
@@ -87,13 +87,13 @@ class LinearOnline:
             self._state, self._left_out = self._estimator.rebuild(history, bridged=True), dict(wrong)
 
     def on_sample(self, time_min: float, degc: FloatArray, speed_rpm: float) -> None:
-        """Advance the states when a sample of the training's period is due; temperatures [degC], speed [1/min]."""
+        """Advance the states when another whole mean is due; temperatures [degC], speed [1/min]."""
         self._speed_rpm = speed_rpm
         now = self._counted(degc)
         if self._state is None:
             if np.isfinite(now).any():
                 self._state = self._estimator.begin(time_min, now, speed_rpm)
-        elif time_min - self._state.time_min >= self.model.period_min:
+        elif time_min - self._state.time_min >= (self.model.period_s or 60.0 * self.model.period_min) / 60.0:
             self._state = self._agreeing(self._estimator.advance(self._state, time_min, now, speed_rpm, bridged=True))
 
     def _agreeing(self, state: ModelState) -> ModelState:
@@ -329,11 +329,6 @@ def contributions_um(estimator: LinearEstimator, state: ModelState, reference: M
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LinearModel(LinearParameters):
     """A linear model as the daemon loads it."""
-
-    @property
-    def period_s(self) -> float | None:
-        """Time over which its inputs must be means [s]; None where it does not matter, without lags."""
-        return self.period_min * 60.0 if self.layout.lags_min or self.layout.speed_lags_min else None
 
     def runtime(self, machine: Machine) -> LinearOnline:
         """Return the model in use on a machine."""

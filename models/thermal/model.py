@@ -19,6 +19,8 @@ from models.thermal.start import StartDeviation
 
 CHANNEL_SCORES = "held_out_relative_rmse_by_channel"
 """Hyper-parameter: RMSE with / without the model on what was left out, of each channel in the model's order."""
+MEAN_S = "mean_s"
+"""Hyper-parameter: time over which its inputs must be means [s], where rows lie farther apart than that."""
 MACHINE = "machine"
 """Hyper-parameter: name of the machine whose recordings it was trained on, where they name one alone."""
 READS = "reads"
@@ -93,7 +95,7 @@ class LinearParameters:
     speed_scale_rpm: float
     """Speed that stands for 1 in the features [1/min]."""
     period_min: float
-    """Time between the rows it was fitted on [min]: its input is filtered as theirs was."""
+    """Time between the rows it was fitted on [min]."""
     solutions: tuple[Solution, ...]
     """Its thermal error is their mean; sensors can be left out of each."""
     drift_um_per_min: Numbers
@@ -127,6 +129,14 @@ class LinearParameters:
         _check_solutions(self)
         _check_arrays(self)
         _check_test_vectors(self)
+
+    @property
+    def period_s(self) -> float | None:
+        """Time over which its inputs must be means [s]; None where it does not matter, without lags."""
+        if not (self.layout.lags_min or self.layout.speed_lags_min):
+            return None
+        mean_s = self.hyper_parameters.get(MEAN_S)
+        return float(mean_s) if isinstance(mean_s, int | float) else self.period_min * 60.0
 
     @property
     def needs_speed(self) -> bool:

@@ -125,7 +125,8 @@ def test_what_the_machine_gets_is_told_beside_what_is_estimated(tmp_path: Path) 
     usual = figures(write(tmp_path / "day.csv", table()), *SPLIT)["mean"]
     hot = figures(path, *OF_LONG)["mean"]
     assert usual["online"]["mean_confidence"] > 0.99
-    assert usual["online"]["reduction_rmse"] == pytest.approx(usual["reduction_rmse"], abs=0.005)
+    late = usual["reduction_rmse"] - usual["online"]["reduction_rmse"]
+    assert 0.005 < late < 0.02, "a part of 8 min is followed half a minute late, by means over a minute"
     assert hot["reduction_rmse"] < -0.1 and hot["online"]["mean_confidence"] < 0.7
     assert hot["online"]["reduction_rmse"] > -0.02, "what is far from training is not followed"
 

@@ -24,6 +24,8 @@ LARGEST_MISSING_SHARE = 0.2
 """A temperature that misses more of the training rows than this is left out of the model."""
 SMALLEST_SPAN_K = 1e-6
 """A temperature that moves less in training [K] is constant."""
+SHORTEST_MEAN_S = 60.0
+"""A model of rows that lie farther apart is followed with means over this [s], or over what they were averaged to."""
 JUMP_UM = 3.0
 """Larger jumps at spindle on/off are taken out of displacements that are trained on [um] (section 3.3.1)."""
 
@@ -60,6 +62,8 @@ class Inputs:
     """Displacements without jumps at spindle on/off, for training."""
     speed_scale_rpm: float
     """Speed that stands for 1 in the features [1/min]."""
+    sample_s: float
+    """Recordings of rows closer together were averaged to this time between rows [s]."""
     axis_positions: tuple[str, ...] = ()
     """The last of `sensor_names`, when they are axis positions [mm]."""
 
@@ -72,6 +76,15 @@ class Inputs:
     def period_min(self) -> float:
         """Median time between rows [min]."""
         return self.step_min(np.ones(self.rows, dtype=np.bool_))
+
+    @property
+    def mean_s(self) -> float:
+        """Time over which a model of these rows must have means on line [s].
+
+        Rows that lie farther apart than they were averaged over say what was at one instant, or nobody knows over how
+        long. A mean over all of the time between them is late by half of that, and what moved lies behind.
+        """
+        return min(60.0 * self.period_min, max(self.sample_s, SHORTEST_MEAN_S))
 
     def step_min(self, rows: BoolArray) -> float:
         """Median time between some rows of a recording [min]; `rows`, shape (n,)."""
@@ -137,6 +150,7 @@ def build_inputs(
         measured_um=np.vstack([recording.displacements_um for recording in averaged]),
         cleansed_um=np.vstack(cleansed),
         speed_scale_rpm=scale_rpm,
+        sample_s=sample_s,
         axis_positions=averaged[0].axis_positions,
     )
 

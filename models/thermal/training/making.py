@@ -15,7 +15,7 @@ from models.thermal.bias import Wander
 from models.thermal.features import BoolArray, Design, Layout, speed_inputs
 from models.thermal.gaussian import GaussianModel
 from models.thermal.linear import LinearModel
-from models.thermal.model import Domain, HyperParameters, TestVector, TrainingData
+from models.thermal.model import MEAN_S, Domain, HyperParameters, TestVector, TrainingData
 from models.thermal.sensor_watch import SensorWatch
 from models.thermal.solution import Solution
 from models.thermal.start import StartDeviation
@@ -131,7 +131,7 @@ def make_linear_model(fitted: Fitted) -> LinearModel:
         band_um=trust.band_um.copy(),
         probing=_wander(trust),
         watch=None if fitted.watch is None else replace(fitted.watch, precision=_single(fitted.watch.precision)),
-        hyper_parameters=fitted.hyper_parameters,
+        hyper_parameters=fitted.hyper_parameters | _means(inputs),
         refused=trust.refused,
         training=fitted.training,
         created=fitted.created,
@@ -148,6 +148,11 @@ def make_linear_model(fitted: Fitted) -> LinearModel:
             for row in others
         ),
     )
+
+
+def _means(inputs: Inputs) -> HyperParameters:
+    """Return over how long its inputs must be means, where that is not the time between rows."""
+    return {MEAN_S: inputs.mean_s} if inputs.mean_s < 60.0 * inputs.period_min - 1e-6 else {}
 
 
 def _wander(trust: Trust) -> Wander | None:

@@ -19,6 +19,8 @@ HOLD_MIN = 10.0
 """So long the output stays where it is when the estimate must not be followed [min]; then it goes back to zero."""
 SPARE_PERIODS = 2.0
 """The history begins this many samples earlier than the states need."""
+USUAL_MEAN_S = 60.0
+"""A model without lags is given means over this, as they are without a word in the configuration [s]."""
 LATE_PERIODS = 1.5
 """Between two rows that lie farther apart nothing is known of where the axes stood."""
 
@@ -41,6 +43,8 @@ class Followed:
     """Whether lags of a speed that was not known between rows may have missed more than the output follows, (n,)."""
     position_known: BoolArray | None = None
     """Whether every axis position that the model needs is known, shape (n,); None where it needs none."""
+    late_min: float = 0.0
+    """So much later than what its inputs say is it applied, which are means [min]: half of the time they are over."""
 
 
 def follow(model: ThermalModel, inputs: Inputs, rows: IntArray) -> Followed:
@@ -94,6 +98,7 @@ def follow(model: ThermalModel, inputs: Inputs, rows: IntArray) -> Followed:
         unsure=unsure,
         speed_unread=unread,
         position_known=position_known if model.axis_positions else None,
+        late_min=(model.period_s or USUAL_MEAN_S) / 120.0,
     )
 
 
@@ -120,9 +125,10 @@ def compensated_um(
 ) -> FloatArray:
     """Return what the output would hold against the thermal error since the reference [um], shape (n, n_channels).
 
-    The estimate counts by its confidence; where it must not be followed the output stays where it is for ten minutes
-    and then goes back to zero, from where a person switches it on again when the estimate may be followed. A probe
-    corrects the output as `models.thermal.bias` says; what the estimate says since then comes on top.
+    The estimate counts by its confidence, and is late: its inputs are means that end now. Where it must not be followed
+    the output stays where it is for ten minutes and then goes back to zero, from where a person switches it on again
+    when the estimate may be followed. A probe corrects the output as `models.thermal.bias` says; what the estimate says
+    since then comes on top.
 
     `followed`: the model on these rows. `time_min`, shape (n,): their times [min]. `measured_um`, shape (n,
     n_channels): thermal error since the reference [um], which the probe sees; NaN where missing. `probe_min`: time
@@ -130,6 +136,9 @@ def compensated_um(
     """
     weight = np.clip((followed.confidence - NO_WEIGHT) / (FULL_WEIGHT - NO_WEIGHT), 0.0, 1.0)
     follows = (followed.confidence >= NO_WEIGHT) & followed.in_domain
+    share = np.minimum(followed.late_min / np.diff(time_min), 1.0)[:, None]
+    estimate_um = followed.estimate_um.copy()
+    estimate_um[1:] -= np.nan_to_num(share * np.diff(followed.estimate_um, axis=0))  # where there was none before, none
     held = np.zeros(measured_um.shape[1])
     bias_filter = bias_filter or full_reset(measured_um.shape[1])
     state = bias_filter.begin(float(time_min[0]))
@@ -137,7 +146,7 @@ def compensated_um(
     since_min, due_min = float(time_min[0]), np.inf if probe_min is None else float(time_min[0]) + probe_min
     for row, now_min in enumerate(time_min):
         if follows[row]:
-            held, since_min = weight[row] * followed.estimate_um[row], float(now_min)
+            held, since_min = weight[row] * estimate_um[row], float(now_min)
         elif now_min - since_min > HOLD_MIN:
             held = np.zeros_like(held)
         state = bias_filter.advanced(state, float(now_min), held)
