@@ -157,7 +157,8 @@ class Daemon:
         self._history.hold()
         self._jobs = scheduled_jobs(configuration, config_path, self._report)
         self._loaded = load_model(configuration)
-        model, inhibit = self._loaded.model, self._loaded.inhibit
+        model = self._loaded.model
+        inhibit = self._loaded.inhibit
         record, refused = load_record(configuration)
         axes = tuple(configuration.compensation.axes)
         factors = CommissionedFactors(record, axes)
@@ -191,7 +192,8 @@ class Daemon:
             self._publish_thermal,
         )
         self.snapshots = SnapshotBoard(control=control_snapshot(self.control), thermal=thermal_snapshot(self.thermal))
-        self.snapshots.spindle_speed, self.snapshots.model = self.spindle_speed.snapshot(), self._loaded.snapshot()
+        self.snapshots.spindle_speed = self.spindle_speed.snapshot()
+        self.snapshots.model = self._loaded.snapshot()
         self._models = ModelReload(
             self._loaded,
             lambda: parts.load_model(configuration),

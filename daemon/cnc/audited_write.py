@@ -69,7 +69,9 @@ class AuditedWriter:
     """Writes over one connection; owned by the task that owns the connection."""
 
     def __init__(self, cnc: Cnc, block: MacroBlock, clock: Clock, history: HistoryWriter, telemetry: Telemetry) -> None:
-        self.cnc, self.block, self.clock = cnc, block, clock
+        self.cnc = cnc
+        self.block = block
+        self.clock = clock
         self._history = history
         self._telemetry = telemetry
         self.last_write_id: int | None = None

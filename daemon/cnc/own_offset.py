@@ -41,8 +41,10 @@ class OwnOffsetWatch:
     def __init__(self, configuration: Configuration, store: StateStore) -> None:
         self._registers = watched_offsets(configuration)
         self._store = store
-        self._guard, macros = configuration.cnc.guard, configuration.cnc.macros
-        self._echo, self._mm_per_unit = macros.echo_applied, macros.unit_um / 1000.0
+        self._guard = configuration.cnc.guard
+        macros = configuration.cnc.macros
+        self._echo = macros.echo_applied
+        self._mm_per_unit = macros.unit_um / 1000.0
         self._known = dict(kept.mm) if self._registers and (kept := store.get(OwnOffsets)) is not None else {}
 
     async def changed(self, cnc: Cnc, found: Mapping[int, float | None]) -> str:

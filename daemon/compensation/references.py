@@ -63,7 +63,8 @@ class References:
         self._rules = reference_rules(configuration, clock.speed, um_per_unit)
         self._safe_sequence_numbers = frozenset(configuration.compensation.output.safe_sequence_numbers)
         macros = configuration.cnc.macros
-        self._safe_flag, self._guard_status = macros.safe_flag, macros.echo_status
+        self._safe_flag = macros.safe_flag
+        self._guard_status = macros.echo_status
         self._echo = (macros.echo_time, *macros.echo_applied.values())
         self._um_per_unit = [abs(um_per_unit[axis]) for axis in macros.echo_applied]
         self._foreign: list[str] = []

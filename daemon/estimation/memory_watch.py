@@ -23,7 +23,8 @@ class MemoryWatch:
 
     def __init__(self, places: Mapping[str, IndexArray], clock: Clock) -> None:
         """`places`: of the sensors of each line and source, in the machine's order."""
-        self._places, self._clock = places, clock
+        self._places = places
+        self._clock = clock
         self._inputs = {name: StandingInput(degc=np.full(len(of), np.nan)) for name, of in places.items()}
         self._stood_since_s: dict[str, float] = {}
         """Since when inputs had stood that go on, until all their values count again [s]."""
@@ -143,7 +144,8 @@ class UnitWatch:
     def __init__(self, temperatures: TemperaturesConfig, places: Mapping[str, IndexArray]) -> None:
         """`places`: of the sensors of each line and source, in the machine's order."""
         self._configured = {each.name: each.sensors[0].unit for each in temperatures.sources or ()}
-        self._places, self._sensor_ids = places, temperatures.sensor_ids
+        self._places = places
+        self._sensor_ids = temperatures.sensor_ids
         self._counted_degc = np.full(len(self._sensor_ids), np.nan)
         self.found = InOtherUnit(units={}, degc={})
 

@@ -62,7 +62,8 @@ class HistoryBackfill:
         self._longest_s = configuration.compensation.reference.max_outage_s + held_s
         self._clock = clock
         self._positions = positions
-        self._documents, now = documents, clock.now()
+        self._documents = documents
+        now = clock.now()
         kept = documents.get(CalendarOfBoot)
         at_s, to_utc_s = (np.inf, 0.0) if kept is None else kept.to_utc_s[-1]
         goes_on = at_s <= now.monotonic_s and abs(now.utc_ahead_s - to_utc_s) <= STEPPED_S

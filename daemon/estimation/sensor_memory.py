@@ -237,11 +237,13 @@ class LevelMemory:
     def __init__(self, history: HistoryWriter, reads: Mapping[int, str], clock: Clock) -> None:
         """`reads`: what each sensor reads, by its ID in the machine's order."""
         self._store = StateStore(history, clock)
-        self._reads, self._sensor_ids = dict(reads), tuple(reads)
+        self._reads = dict(reads)
+        self._sensor_ids = tuple(reads)
         self.anew: list[int] = []
         """Indices of sensors that read something else than in the previous run: what it knew of them is of another."""
         self._clock = clock
-        self._kept, self._kept_to_utc_s = first_levels(len(self._sensor_ids)), self._clock.now().utc_ahead_s
+        self._kept = first_levels(len(self._sensor_ids))
+        self._kept_to_utc_s = self._clock.now().utc_ahead_s
         self.units = self._store.get(InOtherUnit) or InOtherUnit(units={}, degc={})
         self.inputs = self._store.get(InputsRead) or InputsRead(inputs={})
         """Which inputs say another unit, and what inputs say: of the previous run until another is kept."""

@@ -34,7 +34,8 @@ class WriterLock:
     """Keeps a second writer away from a store, in this and in other processes."""
 
     def __init__(self, path: Path, *, restores: bool = False) -> None:
-        self._path, self._restores = path, restores
+        self._path = path
+        self._restores = restores
         self._descriptor: int | None = None
         self._store: int | None = None
 

@@ -68,10 +68,14 @@ class Housekeeping:
     """Packs and prunes one store, one run at a time."""
 
     def __init__(self, history: Store, sinks: Sequence[str], report: Callable[[str], None]) -> None:
-        self._history, self._sinks, self._report = history, sinks, report
+        self._history = history
+        self._sinks = sinks
+        self._report = report
         self._running = asyncio.Lock()
         self._said_h = 0
-        self._untaken, self._lost, self._lost_utc_s = Counter[str](), "", float("-inf")
+        self._untaken = Counter[str]()
+        self._lost = ""
+        self._lost_utc_s = float("-inf")
         self.problem = ""
         """Why the latest run did not come to its end, or deletes less than it should; '' when it did."""
 

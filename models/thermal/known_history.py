@@ -56,7 +56,9 @@ class KnownHistory:
         layout = model.layout
         self._temperatures = layout.sensors - len(model.axis_positions)
         self._rest_is_known = not model.axis_positions  # where axes have dwelt shows in no temperature
-        self._start, self._band_um, self._bridge_min = model.start, model.band_um, bridge_min
+        self._start = model.start
+        self._band_um = model.band_um
+        self._bridge_min = bridge_min
         self._speed_bridge_min = max(1.0, 2.5 * model.period_min)
         self.constants_min = np.array([*layout.lags_min, *layout.speed_lags_min])
         self.of_speed: BoolArray = np.arange(len(self.constants_min)) >= len(layout.lags_min)
