@@ -89,7 +89,7 @@ class AnsweredLink(asyncio.Protocol, Generic[Answer]):
 AnyLink = TypeVar("AnyLink", bound=Link)
 
 
-class LinkedCnc(ABC):
+class LinkedCnc(ABC, Generic[AnyLink]):
     """`drivers.contract.Cnc` over a link; the protocol's own part says how to connect, read and write."""
 
     wrong_answers: ClassVar[tuple[type[Exception], ...]]
@@ -101,6 +101,7 @@ class LinkedCnc(ABC):
         self._name = name
         self._watch = ClockWatch(name, config.stale_after_s)
         self._used = False
+        self._link: AnyLink | None = None
         self.identity = ""
         self.security: Security = security
 
@@ -109,14 +110,9 @@ class LinkedCnc(ABC):
     def cannot(self) -> Mapping[str, str]:
         """What this control does not give, with the reason (known after connect)."""
 
-    @property
-    @abstractmethod
-    def _present_link(self) -> Link | None:
-        """The link; None before and after."""
-
     @abstractmethod
     async def _connect(self) -> None:
-        """Build the link, and check that the control gives its state and the macro variables of the map."""
+        """Build `_link`, and check that the control gives its state and the macro variables of the map."""
 
     @abstractmethod
     async def _sample(self, macros: Sequence[int]) -> CncSample: ...
@@ -126,10 +122,6 @@ class LinkedCnc(ABC):
 
     @abstractmethod
     async def _write(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None: ...
-
-    @abstractmethod
-    def _forget_link(self) -> None:
-        """Let go of the link."""
 
     async def connect(self) -> None:
         """Connect, and check that the control gives its state and the macro variables of the map."""
@@ -144,7 +136,7 @@ class LinkedCnc(ABC):
 
     async def read(self, macros: Sequence[int]) -> CncSample:
         """Read the machine's state and the given macro variables."""
-        self._need_link()
+        self._standing()
         sample = await self._call("reading", self._sample(macros))
         if stands := self._watch.stands_still(sample):
             self._lose(stands)
@@ -152,13 +144,13 @@ class LinkedCnc(ABC):
 
     async def read_macros(self, macros: Sequence[int]) -> dict[int, float | None]:
         """Read macro variables; None where a variable is vacant."""
-        self._need_link()
+        self._standing()
         return await self._call("reading macro variables", self._macros(macros))
 
     async def write_macros(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
         """Write groups of (macro, value), each after the one before was accepted; raises as `Cnc` says."""
         refuse_forbidden(groups, self._config, self.security)
-        self._need_link()
+        self._standing()
         await self._call("writing macro variables", self._write(groups))
 
     async def close(self) -> None:
@@ -170,8 +162,7 @@ class LinkedCnc(ABC):
         self._watch.stands_still(await self._sample(self._config.macros.block))
 
     async def _drop(self) -> None:
-        link = self._present_link
-        self._forget_link()
+        link, self._link = self._link, None
         self._used = True
         if link is not None:
             link.abort(f"{self._name}: closed")
@@ -189,18 +180,16 @@ class LinkedCnc(ABC):
             self._lose(f"{self._name}: system variable #{number} holds {value:g}, which is no whole number")
         return int(value)
 
-    def _standing(self, link: AnyLink | None) -> AnyLink:
+    def _standing(self) -> AnyLink:
         """Return the link, which stands; raises LinkError."""
+        link = self._link
         if link is None or link.lost is not None:
             lost = link.lost if link is not None else None
             raise LinkError(f"{self._name}: not connected ({lost or 'closed or never connected'})")
         return link
 
-    def _need_link(self) -> None:
-        self._standing(self._present_link)
-
     def _lose(self, reason: str, cause: BaseException | None = None) -> NoReturn:
-        if (link := self._present_link) is not None:
+        if (link := self._link) is not None:
             link.abort(reason)
         raise LinkError(reason) from cause
 

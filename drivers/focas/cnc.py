@@ -85,7 +85,7 @@ class RefusedRequestError(FocasFormatError):
     """A whole request was refused, as one with too many blocks is."""
 
 
-class FocasCnc(LinkedCnc):
+class FocasCnc(LinkedCnc[FocasLink]):
     """Implements `drivers.contract.Cnc` over FOCAS2/Ethernet."""
 
     wrong_answers: ClassVar[tuple[type[Exception], ...]] = (FocasFormatError, CalendarError)
@@ -95,7 +95,6 @@ class FocasCnc(LinkedCnc):
     def __init__(self, config: CncConfig, clock: Clock) -> None:
         self._focas = config.connection_as(FocasConfig)
         super().__init__(config, clock, self._focas.address)
-        self._link: FocasLink | None = None
         self._state: StateRequest | None = None
         self._asked = 0
         self._most_blocks = MOST_BLOCKS
@@ -107,13 +106,6 @@ class FocasCnc(LinkedCnc):
     def cannot(self) -> dict[str, str]:
         """What this control does not give, with the reason (known after connect)."""
         return {} if self._state is None else dict(self._state.cannot)
-
-    @property
-    def _present_link(self) -> FocasLink | None:
-        return self._link
-
-    def _forget_link(self) -> None:
-        self._link = None
 
     async def close(self) -> None:
         """Close the session and the socket; never raises, never waits longer than the time-out."""

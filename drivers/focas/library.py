@@ -32,18 +32,11 @@ class LibraryFocasCnc(FocasCnc):
         ValueError,
     )
     tag_bits = 0
+    _link: BridgeLink | None  # type: ignore[assignment]
 
     def __init__(self, config: CncConfig, clock: Clock) -> None:
         super().__init__(config, clock)
         self._doubles = False
-        self._bridge: BridgeLink | None = None
-
-    @property
-    def _present_link(self) -> BridgeLink | None:  # type: ignore[override]
-        return self._bridge
-
-    def _forget_link(self) -> None:
-        self._bridge = None
 
     async def close(self) -> None:
         """End the process; never raises, never waits longer than the time-out."""
@@ -52,8 +45,8 @@ class LibraryFocasCnc(FocasCnc):
     async def _connect(self) -> None:
         text = files("drivers.focas").joinpath("library_bridge.py").read_text(encoding="utf-8")
         command = [sys.executable, "-I"]
-        self._bridge = await BridgeLink.start(command, text, self._name, WHEN_IT_ENDS)
-        first = await self._bridge.ask(
+        self._link = await BridgeLink.start(command, text, self._name, WHEN_IT_ENDS)
+        first = await self._link.ask(
             library=str(self._focas.library),
             host=self._focas.host,
             port=self._focas.port,
@@ -69,10 +62,10 @@ class LibraryFocasCnc(FocasCnc):
             self._state.cannot[Capability.AXIS_POSITION] = NOT_ASKED.format("axis positions")
 
     async def _exchange(self, asks: Sequence[Ask]) -> list[Answer]:
-        if self._bridge is None:
+        if self._link is None:
             raise LinkError(f"{self._name}: not connected")
         blocks = [[int(ask.function), list(ask.arguments), ask.extra.hex()] for ask in asks]
-        found = (await self._bridge.ask(asks=blocks))["answers"]
+        found = (await self._link.ask(asks=blocks))["answers"]
         if len(found) != len(asks):
             raise BridgeError(f"{len(asks)} blocks were asked for and {len(found)} answered")
         return [Answer(int(error), bytes.fromhex(data)) for error, data in found]

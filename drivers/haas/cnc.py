@@ -116,7 +116,7 @@ def is_value(answer: Answer, number: int) -> bool:
     return answer.query is Query.MACRO and (answer.number is None or answer.number == number)
 
 
-class HaasCnc(LinkedCnc):
+class HaasCnc(LinkedCnc[HaasLink]):
     """Implements `drivers.contract.Cnc` over MDC."""
 
     wrong_answers = (HaasFormatError, CalendarError)
@@ -124,7 +124,6 @@ class HaasCnc(LinkedCnc):
     def __init__(self, config: CncConfig, clock: Clock) -> None:
         self._haas = config.connection_as(HaasConfig)
         super().__init__(config, clock, self._haas.address)
-        self._link: HaasLink | None = None
         self._state = StateVariables(self._haas, config.axis_positions)
         self._random = random.Random()
         self._clock_ms = 0.0
@@ -138,13 +137,6 @@ class HaasCnc(LinkedCnc):
     def cannot(self) -> Mapping[str, str]:
         """What this control does not give, with the reason (known after connect)."""
         return dict(self._state.cannot)
-
-    @property
-    def _present_link(self) -> HaasLink | None:
-        return self._link
-
-    def _forget_link(self) -> None:
-        self._link = None
 
     async def _connect(self) -> None:
         try:
@@ -199,7 +191,7 @@ class HaasCnc(LinkedCnc):
 
     async def _macros(self, macros: Sequence[int]) -> dict[int, float | None]:
         """Read macro variables, then the clock; again where two answers for the same variable differ."""
-        link = self._standing(self._link)
+        link = self._standing()
         for _ in range(MOST_ROUNDS):
             link.begin()
             values = {number: await self._value(number) for number in dict.fromkeys(macros)}
@@ -209,7 +201,7 @@ class HaasCnc(LinkedCnc):
         raise HaasFormatError("it answers differently for the same macro variable, time after time")
 
     async def _value(self, number: int) -> float | None:
-        link = self._standing(self._link)
+        link = self._standing()
         self._asking = f"?Q600 {number}"
         return (await link.ask(encode_query(Query.MACRO, number), lambda answer: is_value(answer, number))).value
 
@@ -222,13 +214,13 @@ class HaasCnc(LinkedCnc):
                 f"or a program has set #{CLOCK}"
             )
         self._clock_ms = clock_ms
-        if not self._standing(self._link).numbered:
+        if not self._standing().numbered:
             for query in self._random.choices(TAG, k=TAG_LENGTH):
                 await self._ask(query)
 
     async def _ask(self, query: Query, before: bytes = b"") -> Answer:
         """Ask for what is no macro variable; its answer begins with the query's own word."""
-        link = self._standing(self._link)
+        link = self._standing()
         return await link.ask(before + encode_query(query), lambda answer: answer.query is query)
 
     async def _write(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
@@ -244,7 +236,7 @@ class HaasCnc(LinkedCnc):
 
     async def _write_one(self, number: int, value: float) -> None:
         """Write one value and read it back; raises FatalDriverError where the control holds another one then."""
-        link = self._standing(self._link)
+        link = self._standing()
         found: float | None = None
         for spaced in (self._spaced, not self._spaced):
             link.begin()

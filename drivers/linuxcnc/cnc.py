@@ -40,7 +40,7 @@ NOT_METRIC = (
 )
 
 
-class LinuxcncCnc(LinkedCnc):
+class LinuxcncCnc(LinkedCnc[BridgeLink]):
     """Implements `drivers.contract.Cnc` over LinuxCNC's status and pins."""
 
     wrong_answers = (BridgeError, KeyError, TypeError, ValueError)
@@ -49,7 +49,6 @@ class LinuxcncCnc(LinkedCnc):
         self._linuxcnc = config.connection_as(LinuxcncConfig)
         super().__init__(config, clock, NAME, "encrypted")
         self._pins = Pins.of(config)
-        self._link: BridgeLink | None = None
         self._lacking: list[str] = []
         self._metric = False
         self._file = ""
@@ -63,13 +62,6 @@ class LinuxcncCnc(LinkedCnc):
         if not self._metric:
             found[Capability.WRITE_MACROS] = NOT_METRIC
         return found
-
-    @property
-    def _present_link(self) -> BridgeLink | None:
-        return self._link
-
-    def _forget_link(self) -> None:
-        self._link = None
 
     async def _connect(self) -> None:
         command = self._linuxcnc.command
@@ -133,7 +125,7 @@ class LinuxcncCnc(LinkedCnc):
         pins, version = self._pins, self._config.macros.echo_guard_version
         inputs = [number for number in dict.fromkeys(macros) if number in pins.inputs]
         outputs = list(dict.fromkeys([version, *(number for number in macros if number in pins.outputs)]))
-        found = await self._standing(self._link).ask(
+        found = await self._standing().ask(
             do="read",
             **{"in": [pins.inputs[number] for number in inputs], "out": [pins.outputs[number] for number in outputs]},
         )
@@ -160,7 +152,7 @@ class LinuxcncCnc(LinkedCnc):
                     f"macro variable #{number} has no analog input: LinuxCNC has pins for cnc.macros only"
                 )
         for group in groups:
-            done = await self._standing(self._link).ask(
+            done = await self._standing().ask(
                 do="write", values=[(self._pins.inputs[number], value) for number, value in group]
             )
             if (place := done.get("refused")) is not None:

@@ -96,7 +96,7 @@ class AgentLink:
         """There is nothing to wait for."""
 
 
-class MtconnectCnc(LinkedCnc):
+class MtconnectCnc(LinkedCnc[AgentLink]):
     """Implements `drivers.contract.Cnc` on an agent; what it cannot is most of it."""
 
     wrong_answers = (HttpError, XmlError, AgentError)
@@ -104,7 +104,6 @@ class MtconnectCnc(LinkedCnc):
     def __init__(self, config: CncConfig, clock: Clock) -> None:
         self._agent = config.connection_as(MtconnectConfig)
         super().__init__(config, clock, self._agent.address)
-        self._link: AgentLink | None = None
         self._device: Device | None = None
         self._instance = ""
         self._next = 0
@@ -114,16 +113,9 @@ class MtconnectCnc(LinkedCnc):
         """What this control does not give, with the reason (known after connect)."""
         return {} if self._device is None else dict(self._device.cannot)
 
-    @property
-    def _present_link(self) -> AgentLink | None:
-        return self._link
-
-    def _forget_link(self) -> None:
-        self._link = None
-
     async def write_macros(self, groups: Sequence[Sequence[tuple[int, float]]]) -> None:
         """Refuse: an agent only reads. Raises NotSentError, LinkError without a link."""
-        self._need_link()
+        self._standing()
         raise NotSentError(f"nothing was sent: {READS_ONLY} (cnc.driver)")
 
     async def _connect(self) -> None:
