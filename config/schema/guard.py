@@ -24,10 +24,9 @@ SHARED_MEMORY = 4
 class GuardAxisConfig(Section):
     """Which axis of the control an axis of the compensation is."""
 
-    letter: AxisLetter = Field(
-        description="its address letter; no A, B or C, which turn, among six axes or fewer", examples=["Z"]
-    )
+    letter: AxisLetter = Field(description="its address letter; A, B and C turn, see `linear`", examples=["Z"])
     number: int = Field(ge=1, le=9, description="its axis number: its external offset is #5200 + number", examples=[3])
+    linear: bool = Field(False, description="true: it is linear though its letter is A, B or C")
 
 
 class GuardConfig(Section):
@@ -93,7 +92,7 @@ class GuardConfig(Section):
     def _one_axis_each(self) -> Problems:
         taken: dict[str | int, str] = {}
         for name, axis in self.axes.items():
-            if axis.letter in "ABC" and len(self.axes) <= 6:
+            if axis.letter in "ABC" and not axis.linear:
                 yield ("axes", name, "letter"), f"{axis.letter} turns: 1 um would be 0.001 degrees there"
             for key, value in (("letter", axis.letter), ("number", axis.number)):
                 if value in taken:

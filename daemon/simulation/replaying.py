@@ -446,7 +446,7 @@ def _macro_map(channels: tuple[str, ...]) -> dict[str, Any]:
 def guard_of(channels: tuple[str, ...]) -> dict[str, Any]:
     """Return the settings of a control that has an axis for every channel."""
     axes = {
-        name: {"letter": letter, "number": number}
+        name: {"letter": letter, "number": number, "linear": True}
         for number, (name, letter) in enumerate(zip(channels, "XYZUVWABC", strict=False), start=1)
     }
     return {"increment_mm": 0.0001, "on_timeout": "continue", "axes": axes}

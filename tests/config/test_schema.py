@@ -39,6 +39,7 @@ FILE = {"path": "x.csv", "header": "time"}
 BOX_SENSORS: list[dict[str, Any]] = [{"id": 9, "component": "Bed", "address": 0}]
 BOX: dict[str, Any] = {"name": "box", "driver": "modbus", "modbus": {"host": "x", "sensors": BOX_SENSORS}}
 CHANNEL = {"name": "Z1", "column": "Z1"}
+SEVEN_AXES = {letter: {"letter": letter, "number": number} for number, letter in enumerate("XYZUVWA", start=1)}
 
 
 @pytest.mark.parametrize(
@@ -202,6 +203,7 @@ CHANNEL = {"name": "Z1", "column": "Z1"}
         ("history.keep_writes_days", 1e308, "history.keep_writes_days", "at most 36500"),
         ("machine", "m" * 201, "machine", "at most 200 characters"),
         ("cnc.guard.axes", {"z": {"letter": "B", "number": 4}}, "cnc.guard.axes.z.letter", "B turns: 1 um"),
+        ("cnc.guard.axes", SEVEN_AXES, "cnc.guard.axes.A.letter", "A turns: 1 um"),
     ],
 )
 def test_what_cannot_work_is_refused_at_its_key(path: str, value: Any, key: str, sentence: str) -> None:

@@ -141,7 +141,7 @@ def test_columns_go_to_the_sensors_of_the_model_by_their_names(tmp_path: Path) -
 
 
 def test_every_channel_of_a_recording_has_an_axis_of_the_played_control() -> None:
-    """A real control's A, B and C turn; with more than six channels they stand for linear axes here."""
+    """A real control's A, B and C turn; here they are linear, which their settings say."""
     for count in (1, 5, 6, 9):
         guard = GuardConfig.model_validate(guard_of(tuple(f"c{number}" for number in range(count))))
         assert len({axis.letter for axis in guard.axes.values()}) == count
