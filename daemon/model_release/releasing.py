@@ -3,6 +3,7 @@
 import os
 import pwd
 import stat
+import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -223,7 +224,7 @@ def why_proposals_are_hidden(configuration: Configuration) -> str:
 def proposals(configuration: Configuration) -> Sequence[Proposal]:
     """Return the proposals that wait, the oldest first, each with what stands against it."""
     folder = proposals_folder(configuration)
-    found: list[tuple[float, Proposal]] = []
+    found: list[tuple[tuple[bool, float], Proposal]] = []
     try:
         paths = [path for path in folder.glob("*.json") if not path.is_symlink() and path.is_file()]
     except OSError:
@@ -239,8 +240,13 @@ def proposals(configuration: Configuration) -> Sequence[Proposal]:
             inhibit = gate_inhibit(model, configuration) or machine_inhibit(model, configuration)
         name = model.model_id if model is not None else "unreadable"
         proposal = Proposal(path=path, model_id=name, sha256=sha256_of(content), inhibit=inhibit, model=model)
-        found.append((changed_s, proposal))
+        found.append((age_order(changed_s), proposal))
     return [proposal for _, proposal in sorted(found, key=lambda item: (item[0], str(item[1].path)))]
+
+
+def age_order(changed_s: float) -> tuple[bool, float]:
+    """Return what sorts proposals, the oldest first; one from the future was made while the clock was ahead."""
+    return changed_s <= time.time(), changed_s
 
 
 def _read(configuration: Configuration, content: bytes, source: str) -> tuple[ThermalModel | None, str]:

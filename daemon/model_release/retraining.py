@@ -12,6 +12,7 @@ from daemon.history.reader import HistoryReader
 from daemon.model_release.active import proposals_folder
 from daemon.model_release.gate import reads_in_short
 from daemon.model_release.past_recordings import commissioned_um_per_unit, read_of_history, recordings_from_history
+from daemon.model_release.releasing import age_order
 from daemon.model_release.repository import READABLE_FILE, READABLE_FOLDER
 from models.json_values import finite_or_none
 from models.thermal.family import ThermalModel
@@ -62,7 +63,7 @@ def propose(configuration: Configuration, model: ThermalModel) -> Path:
     folder.chmod(READABLE_FOLDER)
     path = folder / f"{_file_name(model.model_id)}.json"
     write_whole(path, model.to_json(), READABLE_FILE)
-    for old in sorted(folder.glob("*.json"), key=lambda file: file.stat().st_mtime)[:-MOST_PROPOSALS]:
+    for old in sorted(folder.glob("*.json"), key=lambda file: age_order(file.stat().st_mtime))[:-MOST_PROPOSALS]:
         old.unlink(missing_ok=True)
     return path
 

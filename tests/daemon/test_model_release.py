@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from daemon.model_release.file_access import Account, account_of_daemon, how_it_
 from daemon.model_release.loading import load_released
 from daemon.model_release.releasing import person_now, proposals, release, repository_of, rollback
 from daemon.model_release.repository import ReleaseError
-from daemon.model_release.retraining import propose
+from daemon.model_release.retraining import MOST_PROPOSALS, propose
 from models.errors import RefusedInputError
 from models.thermal.linear import LinearModel
 
@@ -287,6 +288,16 @@ def test_the_daemons_own_account_releases_nothing(folder):
         os.chown(place, OTHER, OTHER)
     answer = as_user(OTHER, lambda: str(release(configuration, path, person="daemon")))
     assert "the daemon may not release its own model" in answer
+
+
+def test_a_proposal_of_a_clock_that_is_right_again_is_the_newest_of_all_and_stays(folder):
+    configuration = configured(folder)
+    for number in range(MOST_PROPOSALS):
+        path = proposal(folder, model(f"ahead-{number}"), f"ahead-{number}.json")
+        os.utime(path, (time.time() + 1e8 + number,) * 2)
+    path = propose(configuration, model("ridge-1"))
+    assert path.exists() and len(waiting := proposals(configuration)) == MOST_PROPOSALS
+    assert waiting[-1].path == path and waiting[0].path.name == "ahead-1.json"
 
 
 @as_root
