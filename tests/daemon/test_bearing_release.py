@@ -141,8 +141,10 @@ def test_the_command_releases_lists_and_goes_back(file: Path, folder: Path) -> N
     assert "release 3: bearings-a" in run("rollback", "--bearings")
     listed = run("list", "--bearings").splitlines()
     assert [line[0] for line in listed] == [" ", " ", "*"]
-    result = CliRunner().invoke(main, ["model", "release", "--by-policy", "--bearings", "--config", str(file)])
-    assert result.exit_code == 2
+    for words in (("--by-policy", "--bearings"), ("nowhere.json",), ("--bearings", "nowhere.json")):
+        result = CliRunner().invoke(main, ["model", "release", *words, "--config", str(file)])
+        assert result.exit_code == 2, result.output
+    assert "nowhere.json: there is no such file; `toolpoint model list` shows what waits" in result.output
 
 
 def test_the_resonance_to_follow_is_configured(folder: Path) -> None:

@@ -1,5 +1,6 @@
 """`toolpoint model`: release thermal models and bearing models, list them, go back to an earlier one."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -67,7 +68,13 @@ def release_command(
     it was trained on where its recordings name one; of a bearing
     model checksum, signals, and whether the spindles and cases of the configured operations fit it.
     """
-    from daemon.model_release.releasing import person_now, proposal_named, release, release_by_policy
+    from daemon.model_release.releasing import (
+        person_now,
+        proposal_named,
+        release,
+        release_by_policy,
+        why_proposals_are_hidden,
+    )
     from daemon.model_release.repository import ReleaseError
 
     if (proposal is None) != by_policy:
@@ -81,8 +88,12 @@ def release_command(
         if proposal is None:
             record = release_by_policy(configuration, person=f"policy, run by {person_now()}")
         else:
-            path = proposal_named(configuration, proposal)
             kind = _kind(bearings)
+            kind.repository(configuration)  # without a place for models the file matters not
+            path = proposal_named(configuration, proposal)
+            if not os.path.lexists(path):
+                hidden = why_proposals_are_hidden(configuration) or "`toolpoint model list` shows what waits"
+                refuse(f"{path}: there is no such file; {hidden}")
             record = release(configuration, path, person=person_now(), note=note, kind=kind, trained_on=trained_on)
     except (ReleaseError, OSError) as error:
         refuse(str(error), FAILED)
