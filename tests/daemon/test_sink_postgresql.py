@@ -598,7 +598,7 @@ def test_a_newer_schema_is_refused_and_left_alone(server: Server, tmp_path: Path
     before = counts(server)
     fill(store, start_s=EPOCH_S + 7200.0, hours=0.5)
     cursor = send(server, tmp_path, store)
-    assert "version 99, this version of toolpoint knows up to 6" in cursor.problem
+    assert "version 99, this version of toolpoint knows up to 7" in cursor.problem
     assert counts(server) == before
 
 
