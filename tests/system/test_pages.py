@@ -36,6 +36,7 @@ from daemon.monitor.accounts import write_accounts
 from daemon.monitor.web.serving import serve_monitor
 from daemon.simulation.processes import free_port
 from daemon.snapshots import LinkSnapshot
+from models.control.state import OperatorRequest
 
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -184,12 +185,22 @@ async def test_every_page_against_the_running_demonstration(demo, axe):
                     broken[f"{name}, {scheme}"] = rules
                 wide = await seen.page.evaluate("document.documentElement.scrollWidth - innerWidth")
                 assert wide <= 0, f"{name} is {wide} pixels wider than {width}"
+                cut = await seen.page.evaluate(CUT)
+                assert cut == (["Sketch of the machine"] if (name, width) == ("temperatures", 360) else []), (
+                    name,
+                    width,
+                )
             expected = [text for text in seen.said if "404" not in text]  # dynamics are not configured
             assert (expected, seen.elsewhere) == ([], [])
         await seen.page.set_viewport_size({"width": 800, "height": 900})
         heights = [await seen.page.locator(each).first.evaluate("e => e.offsetHeight") for each in ("nav", "nav a")]
         assert heights[0] < 2 * heights[1], "the names of the pages stand in more than one line"
     assert broken == {}
+
+
+CUT = """[...document.querySelectorAll('main .scroll')].filter(one => one.scrollWidth > one.clientWidth + 1
+  && !one.querySelector('.writes')).map(one => one.ariaLabel)"""
+"""Parts of a page that must be moved sideways to be seen, but for the writes, which are wide on any screen."""
 
 
 @pytest.mark.wires
@@ -215,6 +226,35 @@ async def test_how_much_and_how_fast(demo, capsys):
         print(f"\noverview: {sum(sizes)} byte compressed in {len(sizes)} answers, interactive {interactive_ms:.0f} ms")
         print(f"drawn, from the question on: {drawn}")
     assert sum(sizes) <= MOST_COMPRESSED
+
+
+@pytest.mark.wires
+async def test_a_sheet_of_paper_names_the_machine_and_cuts_nothing_off(demo):
+    """The newest values lay beyond the edge, in the colours of the dark, and tables ended after four rows."""
+    base, _ = demo
+    async with chromium() as browser:
+        seen = await watched(browser, base, color_scheme="dark", viewport={"width": 1280, "height": 900})
+        for name in ("overview", "history"):
+            await seen.open(name)
+            await expect(seen.page.locator("canvas, .writes tbody tr").first).to_be_visible(timeout=PATIENCE_MS)
+            await seen.page.evaluate("dispatchEvent(new Event('beforeprint'))")
+            await seen.page.emulate_media(media="print")
+            await seen.page.set_viewport_size({"width": 718, "height": 900})
+            assert await seen.page.evaluate(BEYOND) == [], name
+            await expect(seen.page.locator("#machine")).to_have_text("simulated CFRP machine tool")
+            await expect(seen.page.locator("h1")).to_be_visible()
+            assert await seen.page.evaluate("getComputedStyle(document.body).colorScheme") == "light"
+            await seen.page.set_viewport_size({"width": 1280, "height": 900})
+            await seen.page.emulate_media(media="screen")
+            await seen.page.evaluate("dispatchEvent(new Event('afterprint'))")
+            assert await seen.page.evaluate("document.documentElement.dataset.theme") is None
+
+
+BEYOND = """[...document.querySelectorAll('main canvas, main table')].filter(one => {
+  const { right, bottom } = one.getBoundingClientRect();
+  const frame = (one.closest('.scroll') ?? one.closest('.card')).getBoundingClientRect();
+  return right > one.closest('.card').getBoundingClientRect().right || bottom > frame.bottom + 1;
+}).map(one => one.className || one.tagName)"""
 
 
 @pytest.mark.wires
@@ -396,6 +436,25 @@ async def test_a_link_that_is_back_says_when_it_was_lost_and_a_long_name_widens_
         await expect(seen.page.locator("main")).to_contain_text("lost once, 2025-06-15 17:06:40: no answer")
         assert await seen.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         assert seen.said == []
+
+
+async def test_what_is_switched_off_and_back_at_the_offset_of_its_reference_is_not_said_to_move(tmp_path):
+    """Until the reference ended the page said that it was being taken back, and `on`."""
+    async with monitor(tmp_path) as bench, chromium() as browser:
+        await bench.rig.active()
+        await bench.rig.follow(0.0, 3.0)
+        bench.rig.set_reference("r2")
+        await bench.rig.follow(0.0, 0.0)
+        await bench.rig.follow(0.0, 3.0)
+        bench.rig.control.request(OperatorRequest(disable=frozenset(("y", "z"))), "a person")
+        await bench.rig.follow(0.0, 3.0, 1)
+        seen = await watched(browser, f"http://127.0.0.1:{bench.port}/")
+        await seen.open("overview")
+        await expect(seen.page.locator("#state")).to_contain_text("is being taken back slowly")
+        await expect(seen.page.locator("#axis-z .tag")).to_have_text("off")
+        await bench.rig.follow(0.0, 3.0)
+        assert bench.rig.state == "RETREAT" and bench.rig.applied["z"] == pytest.approx(-3.0)
+        await expect(seen.page.locator("#state")).to_contain_text("back where it was when the reference was set")
 
 
 async def test_switching_on_takes_the_right_and_a_confirmation(tmp_path):

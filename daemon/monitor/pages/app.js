@@ -38,7 +38,7 @@ async function show() {
   $("page").replaceChildren(place);
   $("page").dataset.page = name;
   try {
-    const module = await MODULES[name]();
+    const module = await MODULES[name]().catch((cause) => { throw new Error("The daemon has not sent this page.", { cause }); });
     const made = visit === visits ? await module.page(place, context) ?? {} : {};
     if (visit !== visits) return made.leave?.();
     shown = made;
@@ -194,6 +194,20 @@ $("theme").addEventListener("click", () => {
   themed();
 });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", themed);
+
+// On paper everything stands in the colours of light.
+let on_screen = null;
+addEventListener("beforeprint", () => {
+  on_screen ??= document.documentElement.dataset.theme ?? "";
+  document.documentElement.dataset.theme = "light";
+  themed();
+});
+addEventListener("afterprint", () => {
+  if (on_screen) document.documentElement.dataset.theme = on_screen;
+  else delete document.documentElement.dataset.theme;
+  on_screen = null;
+  themed();
+});
 
 addEventListener("hashchange", () => { show(); $("page").focus({ preventScroll: true }); scrollTo(0, 0); });
 navigation();

@@ -25,6 +25,12 @@ function css(name) {
 
 const fontFamily = () => getComputedStyle(document.body).fontFamily;
 const every = new Set();
+const PAPER = 700;
+let printed = false;
+
+// A chart is drawn as wide as a sheet is; the style sheet fits it into its place there.
+addEventListener("beforeprint", () => { printed = true; }, { capture: true });
+addEventListener("afterprint", () => { printed = false; }, { capture: true });
 
 addEventListener("theme", () => { for (const chart of every) chart.build(); });
 
@@ -68,7 +74,7 @@ export class Chart {
 
   size() {
     const width = this.place.clientWidth;
-    if (this.plot && width > 0 && Math.abs(width - this.plot.width) > 1) this.plot.setSize({ width, height: this.height });
+    if (this.plot && !printed && width > 0 && Math.abs(width - this.plot.width) > 1) this.plot.setSize({ width, height: this.height });
   }
 
   get height() {
@@ -93,7 +99,7 @@ export class Chart {
     this.legend.replaceChildren(...options.series.flatMap((one, index) => (one.hidden ? [] : [h("span", { class: "key" },
       this.swatch(one), one.label, " ", this.values[index])])));
     this.plot = new window.uPlot({
-      width: Math.max(this.place.clientWidth, 50), height: this.height, padding: [base * 0.6, base * (time ? 1 : 1.6), 0, 0],
+      width: Math.max(printed ? Math.min(this.place.clientWidth, PAPER) : this.place.clientWidth, 50), height: this.height, padding: [base * 0.6, base * (time ? 1 : 1.6), 0, 0],
       legend: { show: false }, focus: { alpha: 1 },
       cursor: { drag: { x: options.zoom !== undefined || !time, y: false }, points: { size: 6 } },
       scales: { x: { time, range: time ? LEAST_SPAN : undefined }, ...range },

@@ -1,18 +1,18 @@
 // A drawing of the machine: its components as boxes where they stand, their sensors as dots coloured by temperature.
 
-import { s } from "./dom.js";
+import { h, s } from "./dom.js";
 
 // Where a component stands, by the words of its name: [pattern, x, y, width, height] on a sheet of 1000 x 600,
 // seen from the side. What no pattern knows goes on a shelf at the right.
 const PLACES = [
-  [/ambient|room|air/i, 70, 14, 420, 66],
+  [/ambient|room|air/i, 70, 14, 390, 66],
   [/spindle|ram|head|quill/i, 70, 96, 170, 270],
   [/slid|carriage/i, 256, 96, 150, 190],
   [/saddle|cross/i, 422, 96, 150, 330],
   [/column|frame|portal|gantry/i, 588, 96, 152, 330],
   [/trunnion|table|rotary|chuck/i, 70, 386, 336, 60],
   [/bed|base/i, 70, 466, 670, 110],
-  [/cool|chill|oil|hydraulic/i, 506, 14, 234, 66],
+  [/cool|chill|oil|hydraulic/i, 476, 14, 264, 66],
 ];
 const SHELF = { x: 770, y: 150, width: 210, height: 100, step: 112 };
 
@@ -53,14 +53,14 @@ export class MachineDrawing {
       }
       this.component(component, sensors.filter((sensor) => sensor.component === component), box, choose);
     }
-    this.drawing.setAttribute("viewBox", `0 0 ${components.length > taken.size ? 1000 : 760} ${Math.max(600, shelf)}`);
+    this.drawing.setAttribute("viewBox", `62 0 ${components.length > taken.size ? 926 : 686} ${Math.max(600, shelf)}`);
     this.key = s("g", {});
     this.drawing.append(this.key);
   }
 
   component(name, sensors, [x, y, width, height], choose) {
     const group = s("g", {}, s("rect", { class: "zone", x, y, width, height, rx: 8 }),
-      s("svg", { x: x + 8, y, width: width - 44, height: 30 }, s("title", {}, name), s("text", { x: 0, y: 20 }, name)), s("text", { class: "small", x: x + width - 8, y: y + 20, "text-anchor": "end" }, sensors.length));
+      s("foreignObject", { x: x + 8, y, width: width - 44, height: 30 }, h("div", { class: "name", title: name }, name)), s("text", { class: "small", x: x + width - 8, y: y + 20, "text-anchor": "end" }, sensors.length));
     const free = { width: width - 16, height: height - 38 };
     let step = 26;
     while (step > 4 && Math.floor(free.width / step) * Math.floor(free.height / step) < sensors.length) step -= 0.5;

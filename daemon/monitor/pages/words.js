@@ -6,6 +6,7 @@ export const STATES = {
   ACTIVE: { mark: "●", words: "Active: the compensation follows the thermal error." },
   HOLD: { mark: "❚❚", words: "Hold: the compensation is frozen where it is." },
   RETREAT: { mark: "↩", words: "Retreat: the compensation is being taken back slowly." },
+  BACK: { mark: "↩", words: "Back: the compensation is back where it was when the reference was set; it goes to zero when that ends." },
   FAULT: { mark: "✕", words: "Fault: nothing is written until a person acknowledges." },
 };
 

@@ -49,6 +49,11 @@ function histogram({ histograms = {}, stages, published_s: published }, name) {
   const x = (value) => left + ((value - low) / Math.max(high - low, 1e-12)) * (width - 2 * left);
   const total = counts.reduce((sum, count) => sum + count, 0);
   const drawing = s("svg", { class: "histogram", viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `${total} delays between ${seconds(low)} and ${seconds(high)}, mean ${seconds(stages[name].mean)}` });
+  if (seconds(low) === seconds(high)) {
+    drawing.append(s("rect", { class: "column", x: width / 2 - 5, y: 26, width: 10, height: base - 26 }), s("line", { class: "axis", x1: left, x2: width - left, y1: base, y2: base }),
+      s("text", { x: width / 2, y: base + 18, "text-anchor": "middle" }, seconds(low)), s("text", { x: width - left, y: height - 4, "text-anchor": "end" }, `${total} delays, all alike`));
+    return drawing;
+  }
   for (let index = first; index <= last; index++) {
     const tall = (counts[index] / most) * (base - 26);
     drawing.append(s("rect", { class: "column", x: x(edges[index]) + 0.5, y: base - tall, width: Math.max(1, x(edges[index + 1]) - x(edges[index]) - 1), height: tall }));

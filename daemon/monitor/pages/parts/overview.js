@@ -45,7 +45,7 @@ export async function page(place, context) {
 // --- state -------------------------------------------------------------------------------
 
 function state(status) {
-  const known = STATES[status.state] ?? { mark: "?", words: status.state };
+  const known = STATES[gone_back(status) ? "BACK" : status.state] ?? { mark: "?", words: status.state };
   const axes = Object.entries(status.axes).filter(([, axis]) => axis.enabled && !axis.unit);
   const without = axes.map(([name, axis]) => `${name.toUpperCase()} ${um(axis.estimated_um)}`).join(", ");
   const left = axes.map(([name, axis]) => `${name.toUpperCase()} ${um(axis.remaining_um)}`).join(", ");
@@ -58,6 +58,11 @@ function state(status) {
       axes.length > 0 && h("p", {}, "Estimated error without compensation: ", h("b", {}, without), "; with: ", h("b", {}, left), "."),
       h("p", { class: "dim" }, prose(reference(status)), status.since_s !== null ? ` In this state for ${duration(status.since_s)}. ` : " ", h("a", { href: "#/history" }, "What happened before")),
     ));
+}
+
+// Switched off, and back where it was at the reference: nothing moves until that ends.
+function gone_back({ state: now, reference: set, axes: found }) {
+  return now === "RETREAT" && set && Object.values(found).every((axis) => [axis.written_um, axis.applied_um].every((value) => value !== null && Math.abs(value - (axis.baseline_um ?? 0)) < 0.05));
 }
 
 // What a person should do about a reason, as the manual says.
@@ -144,7 +149,7 @@ function applied(status) {
 function axes(status) {
   const head = [["Axis", ""], ["Estimated", TERMS.estimated], ["Requested", TERMS.requested], ["Written", TERMS.written], ["Applied", TERMS.applied], ["Band", TERMS.band], ["Bound", TERMS.bound], ["Within the bound", "from − bound to + bound"]];
   const rows = Object.entries(status.axes).map(([name, axis]) => {
-    const tag = axis.channel === null ? h("span", { class: "dim" }, "no model") : axis.enabled ? h("span", { class: "tag good" }, "on")
+    const tag = axis.channel === null ? h("span", { class: "dim" }, "no model") : axis.enabled && axis.wanted ? h("span", { class: "tag good" }, "on")
       : h("span", { class: "tag" }, axis.wanted ? "waits" : "off");
     const cells = [h("span", {}, h("span", { class: "name" }, name.toUpperCase()), axis.unit ? ` ${per(axis)} ` : typeof axis.pivot_mm !== "number" ? " " : ` at ${number(axis.pivot_mm, 0)} mm `, tag), signed(axis.estimated_um), signed(axis.requested_um), signed(axis.written_um),
       h("span", { class: "main" }, signed(axis.applied_um)), axis.band_um === null ? NONE : `± ${number(axis.band_um)}`, `± ${number(axis.bound_um, 0)}`,

@@ -44,7 +44,7 @@ class Temperatures {
         h("div", { class: "between" }, h("h2", {}, "Chosen temperatures"),
           h("span", { class: "actions" }, buttons("Range", RANGES, this.range_s, (range) => { this.range_s = range; this.window = null; this.load(); }), whole)),
         this.chart.element),
-      h("section", { class: "card half" }, h("h2", {}, "The machine, coloured by temperature"), this.drawing.drawing,
+      h("section", { class: "card half" }, h("h2", {}, "The machine, coloured by temperature"), h("div", { class: "scroll whole", tabindex: "0", role: "region", "aria-label": "Sketch of the machine" }, this.drawing.drawing),
         h("p", { class: "dim note" }, "A sketch from the names of the components in the machine's file; a click on a sensor adds it to the chart.")),
       h("section", { class: "card half" }, this.age, this.faults,
         h("div", { class: "between" }, h("h2", {}, `Sensors (${this.sensors.length})`),

@@ -128,7 +128,7 @@ function contributions(parts, unit) {
   const rest = parts.slice(SHOWN);
   const rows = parts.slice(0, SHOWN).map((part) => [`${part.sensor} ${part.part ?? part.component}`, part.um]);
   if (rest.length) rows.push([`${rest.length} others`, rest.reduce((sum, part) => sum + part.um, 0)]);
-  return h("table", { class: "bars" }, h("caption", { class: "hidden" }, `Contribution of each sensor in ${unit}`), h("tbody", {}, rows.map(([words, value]) => h("tr", {},
+  return h("table", { class: "bars" }, h("caption", { class: "hidden" }, `Contribution of each sensor in ${unit}`), h("colgroup", {}, h("col"), h("col"), h("col")), h("tbody", {}, rows.map(([words, value]) => h("tr", {},
     h("td", { title: words }, words), h("td", {}, `${signed(value)} ${unit}`), h("td", {}, bar(value, most))))));
 }
 
