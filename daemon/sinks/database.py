@@ -175,8 +175,7 @@ class Database:
         # A pooler lends a connection with what another version of this product has made for its columns.
         target, staging = sql.Identifier(SCHEMA, table), sql.Identifier(f"staging_{table}_{self._version}")
         columns = sql.SQL(", ").join([sql.Identifier("machine"), *names])
-        if table in self._partitioned:
-            self._make_partitions(table, days)
+        self.make_months(stream, days)
         like = sql.SQL("CREATE TEMP TABLE IF NOT EXISTS {} ON COMMIT DELETE ROWS AS SELECT {} FROM {} WITH NO DATA")
         connection.execute(like.format(staging, columns, target))
         with connection.cursor() as cursor:
@@ -187,7 +186,15 @@ class Database:
             cursor.execute(insert.format(target, columns, columns, staging, key_of(stream)))
             return cursor.rowcount
 
-    def _make_partitions(self, table: str, days: Iterable[int]) -> None:
+    def make_months(self, stream: Stream, days: Iterable[int]) -> None:
+        """Make the partitions of a stream that are missing, within a transaction.
+
+        One that puts rows of several streams makes those of all of them first: the lock under which they are made is
+        taken before a table's, or two that do so at a month's beginning would wait for each other.
+        """
+        table = TABLES.get(stream.name, stream.name)
+        if table not in self._partitioned:
+            return
         dates = {time_of(86_400_000 * day).date() for day in days}
         missing = {(table, day.year, day.month) for day in dates if FIRST_YEAR <= day.year < LAST_YEAR} - self._months
         if not missing:

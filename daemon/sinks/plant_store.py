@@ -470,10 +470,13 @@ def _put(database: Database, rows: Sequence[StoredRow]) -> Newest:
         of_stream.setdefault(row.stream.name, []).append(row)
         key = row.machine, row.stream.name
         newest[key] = max(row.utc_ms, newest.get(key, row.utc_ms))
+    some_of = [(stream, of_stream[name]) for name, stream in STREAMS.items() if name in of_stream]
+    days_of = [{row.utc_ms // DAY_MS for row in some} for _, some in some_of]
     with database.transaction() as connection:
-        for name, some in of_stream.items():
-            days = {row.utc_ms // DAY_MS for row in some}
-            database.put(STREAMS[name], ((row.machine, *row.values) for row in some), days)
+        for (stream, _), days in zip(some_of, days_of, strict=True):
+            database.make_months(stream, days)
+        for (stream, some), days in zip(some_of, days_of, strict=True):
+            database.put(stream, ((row.machine, *row.values) for row in some), days)
         with connection.cursor() as cursor:
             # Generation, positions and `delivered` are those of a sink that sends to the database itself, where a
             # machine has one.

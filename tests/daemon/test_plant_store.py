@@ -22,8 +22,9 @@ from structlog.testing import capture_logs
 from config.schema.plant_store import PlantStoreConfig, SubscriptionConfig
 from daemon.cli import main
 from daemon.simulation.processes import free_port
+from daemon.sinks.database import MIGRATING, STORE, Database
 from daemon.sinks.outbox import STREAMS
-from daemon.sinks.plant_store import LARGEST_MESSAGE, PlantStore, Subscription, row_of
+from daemon.sinks.plant_store import LARGEST_MESSAGE, PlantStore, StoredRow, Subscription, _put, row_of
 
 EVENT = {
     **{"key": "k", "machine": "mill/7", "stream": "events", "utc_ms": 1_760_000_400_000, "monotonic_ms": 5},
@@ -169,6 +170,48 @@ def test_a_message_that_the_database_refuses_keeps_no_other_back(server: Server,
         stop.set()
         store.join()
         broker.kill()
+
+
+def test_two_that_make_the_tables_of_a_month_at_once_do_not_wait_for_each_other(server: Server, tmp_path: Path) -> None:
+    there = section(server, 1, tmp_path).postgresql
+
+    def row(name: str, utc_ms: int) -> StoredRow:
+        words = {"stream": name, "machine": "mill/7", "utc_ms": utc_ms, "alarm": False, "mode": "memory"}
+        of_row = {"run": "started", "macros": {"500": 1.5}, "positions_mm": None, "source": "s", "um": {"Z": 1.0}}
+        content = dict.fromkeys(STREAMS[name].columns, 1) | of_row | words
+        return row_of(f"toolpoint/mill%2F7/history/{name}", json.dumps(content).encode(), "toolpoint")
+
+    store, sink = (Database(there, "database", name) for name in (STORE, "toolpoint sink plant"))
+    october_ms, november_ms = 1_760_000_400_000, 1_762_000_400_000
+    failed = list[BaseException]()
+
+    def put() -> None:
+        try:
+            _put(store, [row("cnc", october_ms), row("displacements", november_ms)])
+        except BaseException as error:
+            failed.append(error)
+
+    thread = threading.Thread(target=put)
+    try:
+        store.open()
+        sink.open()
+        _put(store, [row("cnc", october_ms - 1)])
+        cnc = STREAMS["cnc"]
+        with sink.transaction() as connection:
+            connection.execute("SELECT pg_advisory_xact_lock(%s)", (MIGRATING,))  # as before it makes what is missing
+            thread.start()
+            deadline_s = time.monotonic() + PATIENCE_S
+            while not server.ask("SELECT count(*) FROM pg_locks WHERE locktype = 'advisory' AND NOT granted")[0][0]:
+                assert time.monotonic() < deadline_s and thread.is_alive()
+                time.sleep(0.02)
+            sink.put(cnc, [("mill/7", *row("cnc", november_ms).values)], [november_ms // 86_400_000])
+        thread.join()
+        assert failed == []
+        assert server.ask("SELECT count(*) FROM toolpoint.cnc") == [(3,)]
+    finally:
+        thread.join()
+        store.close()
+        sink.close()
 
 
 def test_a_kept_session_is_at_work_with_its_first_row_not_when_the_broker_answers_after_a_thousand() -> None:
