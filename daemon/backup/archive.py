@@ -19,11 +19,14 @@ from config.files import without_waiting
 from config.schema.base import first_fault
 from config.signing import SigningError, TrustedKeys
 from daemon.backup.manifest import (
+    BEARING_RELEASES_NAME,
+    BEARINGS_NAME,
     COMMISSIONING_NAME,
     CONFIGURATION_NAME,
     LAST_BLOCK_NAME,
     MANIFEST_NAME,
     MODEL_NAME,
+    PLANNED_WITH,
     RELEASES_NAME,
     SIGNATURE_NAME,
     STORE_NAME,
@@ -46,10 +49,11 @@ LARGEST = (
     (re.escape(COMMISSIONING_NAME), MIB),
     (re.escape(signature_name(COMMISSIONING_NAME)), 64 * KIB),
     (re.escape(LAST_BLOCK_NAME), 64 * KIB),
-    (re.escape(MODEL_NAME), 64 * MIB),
-    (rf"{re.escape(RELEASES_NAME)}/[0-9]{{4,6}}/model\.json", 64 * MIB),
-    (rf"{re.escape(RELEASES_NAME)}/[0-9]{{4,6}}/release\.json", MIB),
-    (rf"{re.escape(RELEASES_NAME)}/[0-9]{{4,6}}/release\.json\.sig", 64 * KIB),
+    (rf"{MODEL_NAME}|{BEARINGS_NAME}", 64 * MIB),
+    (rf"({RELEASES_NAME}|{BEARING_RELEASES_NAME})/[0-9]{{4,6}}/model\.json", 64 * MIB),
+    (rf"({RELEASES_NAME}|{BEARING_RELEASES_NAME})/[0-9]{{4,6}}/release\.json", MIB),
+    (rf"({RELEASES_NAME}|{BEARING_RELEASES_NAME})/[0-9]{{4,6}}/release\.json\.sig", 64 * KIB),
+    (rf"{PLANNED_WITH}/[0-9]{{1,4}}/(case|spindle-[xy])\.yaml", MIB),
     (re.escape(STORE_NAME), None),
 )
 """What a back-up may hold, and how large it may be [bytes]; the store is as large as the disk allows."""
@@ -186,8 +190,7 @@ class Archive:
             if self._members[name].size_bytes != item.size_bytes:
                 raise self._refused(f"{name} was damaged after the back-up was made; take another one")
         wanted = [STORE_NAME, CONFIGURATION_NAME]
-        if manifest.active_release is not None:
-            wanted.append(f"{RELEASES_NAME}/{manifest.active_release:04d}/model.json")
+        wanted += [f"{folder}/{number:04d}/model.json" for folder, number in manifest.active_releases.items()]
         if missing := [name for name in wanted if name not in expected]:
             raise self._refused(f"has no {missing[0]}; take another back-up")
         return manifest

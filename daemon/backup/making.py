@@ -14,13 +14,14 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
-import config
 from config.files import read_whole
 from config.schema import Configuration
 from config.schema.source_drivers import SourceEntry
 from config.signing import SIGNATURE_SUFFIX, SigningError, TrustedKeys, signature_beside
 from config.signing_key import SigningKey
 from daemon.backup.manifest import (
+    BEARING_RELEASES_NAME,
+    BEARINGS_NAME,
     COMMISSIONING_NAME,
     CONFIGURATION_NAME,
     LAST_BLOCK_NAME,
@@ -37,12 +38,14 @@ from daemon.backup.manifest import (
     signature_name,
 )
 from daemon.backup.names import backup_name, existing_backups
+from daemon.backup.places import planned_with
 from daemon.history.database import HistoryError, connect_reader, schema_version
 from daemon.model_release.active import released
+from daemon.model_release.repository import bearing_releases
 
 BACKUP_MODE = 0o640
-SHIPPED = Path(config.__file__).parent
 MOUNT_TABLE = Path("/etc/fstab")
+MISSING = "there is no such file, and a spindle speed is planned with it"
 LEFT_BEHIND_S = 86_400.0
 """No back-up takes so long [s]."""
 
@@ -176,16 +179,28 @@ def _files_beside(configuration: Configuration, config_path: Path) -> Iterator[t
     model_file = configuration.compensation.model_file
     if model_file is not None and model_file.is_file():
         yield MODEL_NAME, Path(os.path.realpath(model_file))
+    bearings = _bearings(configuration)
+    if bearings is not None and bearings.is_file():
+        yield BEARINGS_NAME, Path(os.path.realpath(bearings))
+    yield from ((name, path) for name, path in planned_with(configuration).items() if path.is_file())
+
+
+def _bearings(configuration: Configuration) -> Path | None:
+    tuning = configuration.spindle_speed
+    return None if tuning is None else tuning.thermomechanical_model
 
 
 def _releases(configuration: Configuration) -> Iterator[tuple[str, Path]]:
     """Yield the name in the back-up and the place of every file of the released models, which nobody writes again."""
-    if (model_file := configuration.compensation.model_file) is None:
-        return
-    releases = model_file.parent / "releases"
-    for path in sorted((*releases.glob("[0-9]*/*.json"), *releases.glob(f"[0-9]*/*{SIGNATURE_SUFFIX}"))):
-        if path.is_file():
-            yield f"{RELEASES_NAME}/{path.parent.name}/{path.name}", path
+    folders = {}
+    if (model_file := configuration.compensation.model_file) is not None:
+        folders[RELEASES_NAME] = model_file.parent / "releases"
+    if (bearings := _bearings(configuration)) is not None:
+        folders[BEARING_RELEASES_NAME] = bearings.parent / bearing_releases(bearings)
+    for name, releases in folders.items():
+        for path in sorted((*releases.glob("[0-9]*/*.json"), *releases.glob(f"[0-9]*/*{SIGNATURE_SUFFIX}"))):
+            if path.is_file():
+                yield f"{name}/{path.parent.name}/{path.name}", path
 
 
 def _key(configuration: Configuration) -> tuple[SigningKey | None, list[str]]:
@@ -197,8 +212,6 @@ def _key(configuration: Configuration) -> tuple[SigningKey | None, list[str]]:
 
 
 def _manifest(configuration: Configuration, sources: Sequence[Source], unsigned: Sequence[str]) -> Manifest:
-    model_file = configuration.compensation.model_file
-    record = released(model_file)[0] if model_file is not None else None
     cnc = configuration.cnc
     secrets = [f"cnc.{cnc.driver}.{key}: {path}" for key, path in cnc.connection.secrets.items()]
     displacements = configuration.displacements
@@ -212,32 +225,27 @@ def _manifest(configuration: Configuration, sources: Sequence[Source], unsigned:
             secrets += [f"{at}.{key}: {path}" for key, path in each.connection.secrets.items()]
     for index, sink in enumerate(configuration.sinks or ()):
         secrets += [f"sinks[{index}].{sink.driver}.{key}: {path}" for key, path in sink.secrets.items()]
+    missing = [f"{path}: {MISSING}" for path in planned_with(configuration).values() if not path.is_file()]
     return Manifest(
         toolpoint=version("toolpoint"),
         machine=configuration.machine,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         store_schema=schema_version(),
-        active_release=record.number if record is not None else None,
+        active_release=_active(configuration.compensation.model_file),
+        active_bearing_release=_active(_bearings(configuration)),
         files=[source.described() for source in sources],
-        left_out=[*LEFT_OUT, *unsigned, *secrets, *_of_spindle_speed(configuration)],
+        left_out=[*LEFT_OUT, *unsigned, *secrets, *missing],
     )
 
 
-def _of_spindle_speed(configuration: Configuration) -> Iterator[str]:
-    """Yield key and place of the files from which spindle speeds are planned; those that ship come with the program."""
-    if (tuning := configuration.spindle_speed) is None:
-        return
-    yield f"spindle_speed.thermomechanical_model: {tuning.thermomechanical_model}, with its releases beside it"
-    for index, operation in enumerate(tuning.operations):
-        named = {f"spindles.{axis}": path for axis, path in operation.spindles.items()} | {"case": operation.case}
-        for key, path in named.items():
-            if not path.is_relative_to(SHIPPED):
-                yield f"spindle_speed.operations[{index}].{key}: {path}"
+def _active(model_file: Path | None) -> int | None:
+    record = None if model_file is None else released(model_file)[0]
+    return None if record is None else record.number
 
 
 def write_archive(partial: Path, manifest: Manifest, sources: Sequence[Source], key: SigningKey | None = None) -> None:
     """Write the tar, the manifest first, and hand it to the disk."""
-    content = manifest.model_dump_json(indent=2).encode() + b"\n"
+    content = manifest.to_json().encode() + b"\n"
     partial.unlink(missing_ok=True)
     descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, BACKUP_MODE)
     with os.fdopen(descriptor, "wb") as file:

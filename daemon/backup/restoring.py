@@ -18,7 +18,7 @@ import sqlite3
 import stat
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -26,6 +26,8 @@ from pathlib import Path
 
 from config.files import sync_folder, write_whole
 from config.loader import ConfigurationError, load_configuration, parse_yaml_model, with_absolute_paths
+from config.machine.spindle import load_spindle
+from config.machine.stability_case import load_stability_case
 from config.records.commissioning import CommissioningError, load_commissioning
 from config.records.release_record import ReleaseRecordError, load_release_record
 from config.schema import Configuration
@@ -33,15 +35,19 @@ from config.schema.service import SignaturesConfig
 from config.signing import TrustedKeys, signature_beside
 from daemon.backup.archive import MIB, Archive
 from daemon.backup.manifest import (
+    BEARING_RELEASES_NAME,
+    BEARINGS_NAME,
     COMMISSIONING_NAME,
     CONFIGURATION_NAME,
     MODEL_NAME,
+    PLANNED_WITH,
+    RELEASES_NAME,
     STORE_NAME,
     BackupError,
     Manifest,
     last_block_beside,
 )
-from daemon.backup.places import Places, agreed_places, installed_places, targets
+from daemon.backup.places import Places, agreed_places, installed_places, places_of_plans, targets
 from daemon.history.database import HistoryError, connect_reader, connect_writer
 from daemon.history.store_lock import RESTORATION_BEGUN, WriterLock
 from daemon.state_store.documents import OutputFault, SensorLevelsDocument, SpindleSpeedSwitch
@@ -64,6 +70,8 @@ class Restored:
     """What was there before, under its new name."""
     left: tuple[Path, ...] = ()
     """A commissioning record in its place that is not older than that of the back-up."""
+    unplaced: tuple[str, ...] = ()
+    """Spindle and case files in the back-up for which nobody has named a place: name there, and whence it came."""
 
 
 def read_manifest(archive_path: Path) -> Manifest:
@@ -94,9 +102,9 @@ def restore(
     try:
         with Archive(archive_path) as archive:
             manifest = archive.manifest
-            archived = Places.of(_configuration(archive, config_path))
+            archived = _configuration(archive, config_path)
             wanted = installed_places(config_path, given or Places())
-            places = agreed_places(manifest, archived, wanted, keep_configuration=keep_configuration)
+            places = agreed_places(manifest, Places.of(archived), wanted, keep_configuration=keep_configuration)
             store = places.store
             assert store is not None, "every back-up holds a store"
             _undo_broken_off(store)
@@ -111,10 +119,12 @@ def restore(
                 _check_releases(folder, manifest)
                 disarm(folder / STORE_NAME, manifest, person)
                 pieces = list(targets(places, None if keep_configuration else config_path))
-                pieces = [(name, path) for name, path in pieces if path not in left]
-                return dataclasses.replace(
-                    _put_in_place(folder, manifest, pieces, store, replace=replace), left=left[:1]
-                )
+                taken = {path: name for name, path in pieces}
+                plans = places_of_plans(archived, config_path, taken, keep_configuration=keep_configuration)
+                plans = {name: path for name, path in plans.items() if _is_plan(folder / name)}
+                pieces = [(name, path) for name, path in (*pieces, *plans.items()) if path not in left]
+                done = _put_in_place(folder, manifest, pieces, store, replace=replace)
+                return dataclasses.replace(done, left=left[:1], unplaced=tuple(_unplaced(manifest, plans)))
     except OSError as error:
         raise BackupError(f"the back-up cannot be restored: {error}") from error
 
@@ -308,16 +318,32 @@ def _commissioned_since(folder: Path, places: Places) -> tuple[Path, ...]:
     return there, signature_beside(there)
 
 
+def _is_plan(path: Path) -> bool:
+    """Say whether a file is there and describes a spindle or a case, as nothing else is put beside a configuration."""
+    try:
+        return path.exists() and bool(load_stability_case(path) if path.name == "case.yaml" else load_spindle(path))
+    except ConfigurationError:
+        return False
+
+
+def _unplaced(manifest: Manifest, plans: Mapping[str, Path]) -> Iterator[str]:
+    came_from = {file.name: file.came_from for file in manifest.files}
+    for name in manifest.files_in(PLANNED_WITH):
+        if name not in plans:
+            yield f"{came_from[name]}: in the back-up as {name}; put it there by hand"
+
+
 def _check_releases(folder: Path, manifest: Manifest) -> None:
     """Check that every release in the back-up is the file that its record names."""
-    for name in manifest.release_files:
+    names = manifest.files_in(RELEASES_NAME, BEARING_RELEASES_NAME)
+    for name in names:
         if not name.endswith("/release.json"):
             continue
         try:
             record = load_release_record(folder / name)
         except ReleaseRecordError as error:
             raise BackupError(f"a release in the back-up cannot be read: {error}") from error
-        if (model := name.replace("release.json", "model.json")) not in manifest.release_files:
+        if (model := name.replace("release.json", "model.json")) not in names:
             continue  # an old one, of which the record alone is kept
         with (folder / model).open("rb") as file:
             if hashlib.file_digest(file, "sha256").hexdigest() != record.sha256:
@@ -325,7 +351,7 @@ def _check_releases(folder: Path, manifest: Manifest) -> None:
 
 
 def _put_in_place(
-    folder: Path, manifest: Manifest, pieces: Iterable[tuple[str, Path]], store: Path, *, replace: bool
+    folder: Path, manifest: Manifest, pieces: Sequence[tuple[str, Path]], store: Path, *, replace: bool
 ) -> Restored:
     to_place = [
         (name, path) for name, path in pieces if (folder / name).exists() and not _is_there_already(folder / name, path)
@@ -340,6 +366,8 @@ def _put_in_place(
     last = {path for name, path in to_place if name == CONFIGURATION_NAME and path in aside}
     kept: dict[Path, Path] = {}
     placed: list[Path] = []
+    links = {MODEL_NAME: RELEASES_NAME, BEARINGS_NAME: BEARING_RELEASES_NAME}
+    where = dict(pieces)
     _write_plan(begun, [path for _, path in to_place], aside.items())
     try:
         for path in aside.keys() - last:
@@ -351,8 +379,8 @@ def _put_in_place(
                 path.rename(aside[path])
                 kept[path] = aside[path]
             placed.append(path)
-            if name == MODEL_NAME and manifest.active_release is not None:
-                path.symlink_to(Path("releases") / f"{manifest.active_release:04d}" / "model.json")
+            if (number := manifest.active_releases.get(links.get(name, ""))) is not None:
+                path.symlink_to(Path(where[links[name]].name) / f"{number:04d}" / "model.json")
             else:
                 # who may write in the folder of the models may do so in that of its releases
                 _place(folder / name, path, stat.S_IMODE(path.parent.stat().st_mode))

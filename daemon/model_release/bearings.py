@@ -13,7 +13,7 @@ from config.schema.spindle_speed import SpindleSpeedConfig
 from daemon.model_release.file_access import Account
 from daemon.model_release.loading import LoadedModel, WantedModel, load_checked
 from daemon.model_release.releasing import Kind
-from daemon.model_release.repository import ReleaseError, ReleaseRepository
+from daemon.model_release.repository import ReleaseError, ReleaseRepository, bearing_releases
 from daemon.spindle_speed.planning import OperationPlanning, planned_with
 from models.errors import RefusedInputError, StabilityError
 from models.model_file import ModelError
@@ -55,7 +55,7 @@ def bearing_repository(configuration: Configuration) -> ReleaseRepository:
             f"{path}: compensation.model_file and spindle_speed.thermomechanical_model name the same file; two models "
             "need two names"
         )
-    return ReleaseRepository(path, releases=f"{path.stem}-releases")
+    return ReleaseRepository(path, releases=bearing_releases(path))
 
 
 def _checked(configuration: Configuration, content: bytes, source: str) -> tuple[ThermomechanicalModel, list[str]]:

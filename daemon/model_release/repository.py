@@ -30,6 +30,11 @@ class ReleaseError(Exception):
     """A release is refused or failed; the text says why and what to do."""
 
 
+def bearing_releases(model_file: Path) -> str:
+    """Return the name of the folder beside a bearing model that holds its releases."""
+    return f"{model_file.stem}-releases"
+
+
 class ReleaseRepository:
     """The folder of releases beside a configured model file."""
 

@@ -12,6 +12,7 @@ import tarfile
 import time
 import tracemalloc
 from contextlib import closing
+from dataclasses import replace
 from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
@@ -21,11 +22,13 @@ import pytest
 import yaml
 from control_rig import record_for
 from installation import Installation
-from speed_machine import speed_machine
+from speed_machine import bearing_model, speed_machine
 
 from config.files import LARGEST_FILE
 from config.loader import load_configuration
-from config.records.commissioning import CommissionedAxis
+from config.machine.spindle import spindle_folder
+from config.records.commissioning import CommissionedAxis, load_commissioning
+from config.schema import Configuration
 from daemon.backup.archive import LARGEST, MOST_MEMBERS
 from daemon.backup.making import make_backup, remove_old
 from daemon.backup.manifest import BackupError, last_block_beside
@@ -34,7 +37,10 @@ from daemon.backup.places import Places
 from daemon.backup.restoring import read_manifest, restore
 from daemon.history.database import HistoryError
 from daemon.history.reader import HistoryReader
-from daemon.model_release.releasing import rollback
+from daemon.model_release.bearings import BEARINGS, open_planning
+from daemon.model_release.file_access import Account
+from daemon.model_release.releasing import release, rollback
+from models.thermomechanics.artifact import model_to_json
 
 EVER = (0.0, 1e11)
 
@@ -77,11 +83,7 @@ def test_the_manifest_names_the_secrets_and_files_that_are_not_in_it(installatio
     assert "cnc.opcua.security.password_file: /run/credentials/password" in left_out
     assert "cnc.opcua.security.private_key: /run/credentials/own.pem" in left_out
     assert "sinks[0].postgresql.password_file: /run/credentials/database" in left_out
-    assert left_out[-3:] == [
-        f"spindle_speed.thermomechanical_model: {tmp_path / 'bearings.json'}, with its releases beside it",
-        "spindle_speed.operations[0].spindles.x: /etc/toolpoint/spindle.yaml",
-        f"spindle_speed.operations[0].case: {tmp_path / 'case.yaml'}",
-    ], "a spindle that ships is there with the program"
+    assert left_out[-1] == "/etc/toolpoint/spindle.yaml: there is no such file, and a spindle speed is planned with it"
 
 
 def test_a_backup_beside_a_writing_daemon_holds_all_and_is_proved(installation):
@@ -164,6 +166,7 @@ def test_what_a_backup_leaves_that_was_killed_does_not_fill_the_disk(installatio
 import os, signal, sys
 from pathlib import Path
 from config.loader import load_configuration
+from config.machine.spindle import spindle_folder
 from daemon.backup import making
 making.write_archive = lambda partial, *_: (partial.write_bytes(b"half"), os.kill(os.getpid(), signal.SIGKILL))
 making.make_backup(load_configuration(Path(sys.argv[1])), Path(sys.argv[1]), Path(sys.argv[2]))
@@ -295,6 +298,62 @@ def test_an_empty_installation_gets_everything_but_the_will_to_move(installation
         events = reader.events(*EVER)
     assert [event.kind for event in events] == ["note", "restored"] and events[1].person == "anna (uid 1)"
     assert there.compensation.commissioning_file is not None and there.compensation.commissioning_file.is_file()
+
+
+def tuned(installation: Installation, **operation: object) -> Configuration:
+    """Let the spindle speed follow a released bearing model, by a spindle and a case beside the configuration."""
+    content = yaml.safe_load(installation.config_path.read_text(encoding="utf-8"))
+    tuned = speed_machine(installation.folder)
+    content["spindle_speed"] = json.loads(tuned.spindle_speed.model_dump_json())
+    content["spindle_speed"]["thermomechanical_model"] = "../models/bearings.json"
+    content["spindle_speed"]["operations"][0] |= {"spindles": {"x": "own.yaml", "y": "simulated_machine"}}
+    content["spindle_speed"]["operations"][0] |= {"case": "case.yaml"} | operation
+    content["cnc"]["macros"]["writable"] = list(tuned.cnc.macros.writable)
+    etc = installation.config_path.parent
+    shutil.move(installation.folder / "case.yaml", etc / "case.yaml")
+    shutil.copyfile(spindle_folder() / "simulated_machine.yaml", etc / "own.yaml")
+    installation.config_path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    installation.configuration = load_configuration(installation.config_path)
+    for name in ("a", "b"):
+        path = installation.folder / f"{name}.json"
+        path.write_text(model_to_json(replace(bearing_model(), model_id=name)), encoding="utf-8")
+        release(installation.configuration, path, person="anna", kind=BEARINGS)
+    return installation.configuration
+
+
+def test_what_spindle_speeds_are_planned_with_is_restored_under_the_rules_of_models(installation):
+    before = tuned(installation)
+    path, target = installation.backup(), elsewhere(installation)
+    done = restore(path, target, person="anna", replace=False)
+    there = load_configuration(target)
+    model_file = there.spindle_speed.thermomechanical_model
+    assert str(model_file.readlink()) == "bearings-releases/0002/model.json" and done.unplaced == ()
+    for file in ("case.yaml", "own.yaml"):
+        assert (target.parent / file).read_bytes() == (before.history.path.parents[1] / "etc" / file).read_bytes()
+    opened = open_planning(there, Account(user_id=None))
+    assert opened.inhibit == "" and opened.model.record.number == 2
+    with pytest.raises(BackupError, match=r"thermomechanical_model is .* and none here.*--bearings-file"):
+        given = replace(Places.of(there), bearings_file=None)
+        restore(path, installation.folder / "new/etc/toolpoint.yaml", person="anna", replace=True, given=given)
+
+
+@pytest.mark.parametrize("case", ["../other/case.yaml", "commissioning.json", "toolpoint.yaml"])
+def test_a_case_goes_to_no_place_that_an_archive_alone_names_and_nothing_else_goes_for_one(installation, case):
+    configuration = tuned(installation)
+    operation = configuration.spindle_speed.operations[0]
+    (named := installation.config_path.parent / case).parent.mkdir(exist_ok=True)
+    if not named.exists():
+        shutil.copyfile(operation.case, named)
+    text = installation.config_path.read_text(encoding="utf-8").replace("case: case.yaml", f"case: {case}")
+    installation.config_path.write_text(text, encoding="utf-8")
+    installation.configuration = load_configuration(installation.config_path)
+    path, target = installation.backup(), elsewhere(installation)
+    given = Places.of(load_configuration(target))
+    target.unlink()
+    done = restore(path, target, person="anna", replace=False, given=given)
+    assert done.unplaced == (f"{named}: in the back-up as planning/0/case.yaml; put it there by hand",)
+    assert not (target.parent / "../other/case.yaml").exists() and target.read_text(encoding="utf-8") == text
+    assert load_commissioning(target.with_name("commissioning.json")).person
 
 
 def test_nothing_is_overwritten_and_with_replace_everything_is_kept(installation):

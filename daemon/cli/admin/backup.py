@@ -103,6 +103,7 @@ def backup(destination: Path | None, keep: int | None, config_path: Path, json_p
 @option("--store", type=FILE, help="Where the history goes.")
 @option("--commissioning-file", type=FILE, help="Where the commissioning record goes.")
 @option("--model-file", type=FILE, help="Where the model goes, its releases beside it.")
+@option("--bearings-file", type=FILE, help="Where the bearing model goes, its releases beside it.")
 @config_option
 @json_option
 def restore(
@@ -150,7 +151,7 @@ def restore(
         say(f"kept     {path}")
     for path in done.left:
         say(f"left     {path}: the machine was commissioned since the back-up; move it away to restore that of then")
-    for each in done.manifest.left_out:
+    for each in (*done.manifest.left_out, *done.unplaced):
         say(f"not here {printable(each)}")
     say("put passwords and keys back, start the daemon, compare the macros, then `toolpoint acknowledge`")
     write_json(json_path, {"placed": [str(path) for path in done.placed], "kept": [str(path) for path in done.kept]})
