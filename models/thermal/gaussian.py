@@ -22,10 +22,14 @@ from models.thermal.known_history import ModelState
 from models.thermal.linear import LinearModel, LinearOnline
 from models.thermal.model import LinearParameters
 from models.thermal.solution import Solution
+from models.thermal.start import NORMAL_95
 
 FAMILY = "gaussian"
 FADED_DEVIATION = 2.0
 """At this many times the deviation up to which left-out runs were predicted, the ridge is all that counts."""
+SURER = 2.576 / NORMAL_95
+"""So much wider the doubt in what is imputed holds 99 % where ridges hold 90: what bends takes the errors of a sensor
+and its lags apart, which in the linear part make up for each other."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -238,7 +242,9 @@ class GaussianEstimator(LinearEstimator):
         steeper = self._how_much_steeper(both + model.centre, out, state.time_min)
         more_um = np.sqrt(steeper**2 - 1.0) * found.imputed_um
         wider = np.hypot(found.band_factor, more_um / np.maximum(model.band_um, 1e-9))
-        return replace(found, thermal_error_um=bent_um[0], imputed_um=steeper * found.imputed_um, band_factor=wider)
+        return replace(
+            found, thermal_error_um=bent_um[0], imputed_um=SURER * steeper * found.imputed_um, band_factor=wider
+        )
 
     def _how_much_steeper(self, both: FloatArray, out: tuple[int, ...], time_min: float) -> float:
         """Return how much more sensors that do not count move the whole model than its linear part, at least 1.
