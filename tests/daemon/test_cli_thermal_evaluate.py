@@ -343,3 +343,13 @@ def test_the_comparison_of_sensors_names_those_that_cannot_be_compared(recording
     )
     result = CliRunner().invoke(main, ["thermal", "sensors", str(path), "--most", "1"])
     assert "warning: dead.csv: column t2: constant at 20 over the whole recording" in result.stderr, "it said nothing"
+
+
+def test_many_cycles_are_left_out_in_twelve_parts_as_in_training(tmp_path: Path) -> None:
+    """Each of 72 tool changes was tested on the others, one training for each, of which its neighbours tell it."""
+    columns = table()
+    columns["rpm"] = np.where(np.arange(len(columns["t"])) % 5 < 3, columns["rpm"].max(), 0.0)
+    found = figures(write(tmp_path / "day.csv", columns), "--leave-out-cycles", "--model", "ridge")
+    names = [test["name"] for test in found["tests"]]
+    assert (len(names), names[0], names[-1]) == (12, "cycles 1 to 6", "cycles 67 to 72")
+    assert sum(test["rows"] for test in found["tests"]) == len(columns["t"])

@@ -49,7 +49,11 @@ def parse_fault(text: str) -> "Fault":
 @option("--model", type=click.Choice(MODELS), default=MODELS[0], help="Family of models.")
 @hours_option("--train-hours", help="Train on these hours of each recording.")
 @hours_option("--test-hours", help="Test these hours of each recording, as one run with one reference at its start.")
-@option("--leave-out-cycles", is_flag=True, help="Test each spindle cycle on a model of the others.")
+@option(
+    "--leave-out-cycles",
+    is_flag=True,
+    help="Test each spindle cycle, or each twelfth of many, on a model of the others.",
+)
 @option("--leave-out-runs", is_flag=True, help="Test each recording on a model of the others.")
 @common_columns_option
 @option("--probe-minutes", type=POSITIVE, help="A probe resets the offset so often [min].")

@@ -31,7 +31,7 @@ from models.thermal.training.advice import advice
 from models.thermal.training.choice import Choice
 from models.thermal.training.evaluation import moving
 from models.thermal.training.families import fold_numbers
-from models.thermal.training.folds import cycles, inner_folds
+from models.thermal.training.folds import MOST_FOLDS, cycles, inner_folds
 from models.thermal.training.inputs import Inputs, build_inputs, temperatures_alone, unusable_sensors, with_sensors
 from models.thermal.training.left_out_sensors import left_out_sensors
 from models.thermal.training.online import (
@@ -162,7 +162,8 @@ def _parts(inputs: Inputs, protocol: Protocol) -> list[_Part]:
                 f"{inputs.recording_names[0]}: {counted(len(found), 'cycle')} from one start of the spindle to the "
                 "next; to leave one out takes at least 3, so record more, or choose hours for training and test"
             )
-        return [_Part(name=f"cycle {i}", train=trained & ~mask, test=mask) for i, mask in enumerate(found, start=1)]
+        together = np.array_split(np.arange(len(found)), min(len(found), MOST_FOLDS))
+        return [_cycles_left_out(found, group.tolist(), trained) for group in together]
     if protocol.leave_out == "runs":
         if len(inputs.recording_names) < 2:
             raise DatasetError("leaving runs out takes at least two recordings; each recording is a run")
@@ -182,6 +183,14 @@ def _parts(inputs: Inputs, protocol: Protocol) -> list[_Part]:
             "training and test hours overlap; a model must be tested on what it has not seen, so separate them"
         )
     return [_Part(name="test", train=trained, test=tested)]
+
+
+def _cycles_left_out(found: Sequence[BoolArray], group: Sequence[int], trained: BoolArray) -> _Part:
+    """Return the test of neighbouring cycles, by index from 0, on a model of the others."""
+    mask = np.any([found[index] for index in group], axis=0)
+    first, last = group[0] + 1, group[-1] + 1
+    name = f"cycle {first}" if first == last else f"cycles {first} to {last}"
+    return _Part(name=name, train=trained & ~mask, test=mask)
 
 
 def _require_faults(inputs: Inputs, parts: Sequence[_Part], faults: Sequence[Fault]) -> None:

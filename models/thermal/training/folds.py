@@ -16,7 +16,8 @@ STANDSTILL_RPM = 1.0
 FEWEST_CYCLES = 3
 """With fewer cycles blocks are left out."""
 MOST_FOLDS = 12
-"""With more cycles neighbours are left out together: then they are tool changes rather than warm-up cycles."""
+"""With more cycles neighbours are left out together: then they are tool changes rather than warm-up cycles, of which
+those before and after tell most."""
 BLOCKS = 5
 """What has neither cycles nor several runs is cut into so many blocks."""
 SHORTEST_FOLD_ROWS = 5

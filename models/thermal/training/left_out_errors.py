@@ -45,10 +45,10 @@ class LeftOutErrors:
                 left[place] += np.square(self.probed_um(int(index))).sum(axis=0)
         return without, left, np.array(count, dtype=np.float64)
 
-    def scored(self) -> tuple[FloatArray, FloatArray]:
-        """Return the sums of squares of `squares` of the channels that move, see `moving`."""
+    def scored(self, moves: BoolArray | None = None) -> tuple[FloatArray, FloatArray]:
+        """Return the sums of squares of `squares` of the channels that move; `moves`: these, where they are known."""
         without, left, _ = self.squares()
-        moves = moving(self.measured_um)
+        moves = moving(self.measured_um) if moves is None else moves
         return without[:, moves], left[:, moves]
 
     def probed_um(self, index: int) -> FloatArray:

@@ -8,6 +8,7 @@ import numpy as np
 from models.thermal.features import BoolArray, Design, IntArray, Layout
 from models.thermal.model import HyperParameters
 from models.thermal.solution import Solution
+from models.thermal.training.evaluation import moving
 from models.thermal.training.families import Fit, fold_numbers, ridge_fit
 from models.thermal.training.inputs import Inputs
 from models.thermal.training.left_out_errors import (
@@ -105,7 +106,8 @@ def nested_errors(tried: Sequence[LeftOutErrors]) -> tuple[int, LeftOutErrors]:
 
     The best of many on the folds that it is then judged by looks better than it is.
     """
-    tables = [one.scored() for one in tried]
+    moves = moving(tried[0].measured_um)  # each leaves something of the same: hundreds of quantiles for each penalty
+    tables = [one.scored(moves) for one in tried]
     numbers = np.unique(tried[0].folds)
 
     def best(kept: BoolArray) -> int:
