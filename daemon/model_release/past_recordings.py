@@ -1,10 +1,11 @@
 """Recordings for training from the daemon's own history: one-minute means, displacements without what was applied.
 
 Displacement sensors feel what the NC applies, so the machine's own error is measured minus applied (the guard's echo).
-Where that is unknown, or a FANUC or LinuxCNC applies a slope, the minute has no displacement.
+Where that is unknown, or a FANUC or LinuxCNC applies a slope, the minute has no displacement; nor where the audit said
+then that something else was applied than the echo says by the commissioning of now.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -14,6 +15,8 @@ import numpy as np
 from config.records.commissioning import load_commissioning
 from config.schema import Configuration
 from daemon.cnc.limits import CommissionedFactors
+from daemon.history.columns.joining import time_s_of
+from daemon.history.columns.kinds import WRITES
 from daemon.history.reader import HistoryReader
 from daemon.history.series import CncHistory
 from daemon.state_store.documents import ControlRead, SensorLevelsDocument
@@ -33,6 +36,8 @@ LEAST_MIN = 120
 """Shorter stretches are left out [min]: models with lags take the machine as settled at the beginning of each."""
 LONGEST_GAP_MIN = 10.0
 """After a longer stretch without displacements a new recording begins."""
+OTHERWISE_UM, OTHERWISE_SHARE = 1.0, 0.05
+"""By so much what was applied may differ between audit and echo, absolutely [um] and as a share."""
 
 
 NAME = "history from minute "
@@ -55,6 +60,8 @@ class Minutes:
     """Distance of each channel's axis from its slope's pivot [m], NaN where it was not read; 0 without a slope."""
     measured: BoolArray
     """Where anything was measured, shape (n, n_channels)."""
+    otherwise: int
+    """Minutes that are left out because the control was commissioned otherwise since."""
     positions_mm: FloatArray
     """Axis positions [mm], in the order of `cnc.axis_positions`, shape (n, n_axes)."""
     file: tuple[str, ...]
@@ -107,6 +114,7 @@ def recordings_from_history(
         raise DatasetError(
             f"the history has no {LEAST_MIN} minutes in a row with displacements of {', '.join(channels)}, "
             f"{longest} at most; leave the sensors in place for longer{_why_unknown(configuration, channels)}"
+            f"{_commissioned_since(pieces)}"
             f"{what_is_left_out(reader, from_utc_s)}"
         )
     return found
@@ -150,6 +158,13 @@ def _why_unknown(configuration: Configuration, channels: Mapping[str, str]) -> s
     """Return what else may be why nothing was measured that counts, on axes whose slope counts for somewhere else."""
     sloped = [one for axis, one in sloped_axes(configuration).items() if axis in channels.values()]
     return "".join(f"; of axis {one.axis}: {one.unknown_share}" for one in sloped if one.unknown_share)
+
+
+def _commissioned_since(pieces: Iterable[Minutes]) -> str:
+    """Return how much is left out because signs or scales were others then, '' where nothing is."""
+    if not (minutes := sum(piece.otherwise for piece in pieces)):
+        return ""
+    return f"; {minutes} minutes are left out, in which what was applied was counted by other signs or scales than now"
 
 
 def commissioned_um_per_unit(configuration: Configuration) -> dict[str, float] | None:
@@ -209,10 +224,12 @@ def _piece(
     um = means(displacements.time_s, raw, first, count)
     cnc, sloped = reader.cnc(start_s, stop_s), sloped_axes(configuration)
     along_m = np.column_stack([_along_m(cnc, sloped.get(axis)) for axis in channels.values()])
-    applied_um = np.zeros((count, len(channels)))
+    applied_um, otherwise = np.zeros((count, len(channels))), np.zeros((count, len(channels)), dtype=bool)
     if um_per_unit is not None:
         echo = [_where_it_stood_um(configuration, cnc, axis, um_per_unit, sloped) for axis in channels.values()]
         applied_um = means(cnc.time_s, np.column_stack(echo), first, count)
+        otherwise = _audited_otherwise(configuration, reader, cnc, um_per_unit, tuple(channels.values()), first, count)
+        applied_um[otherwise] = np.nan
     degc = np.empty((count, 0))
     if sensor_ids:
         history = reader.temperatures(sensor_ids, start_s - LEAD_S, stop_s)
@@ -228,9 +245,52 @@ def _piece(
         applied_um=applied_um,
         along_m=means(cnc.time_s, along_m, first, count),
         measured=np.isfinite(um),
+        otherwise=int((otherwise & np.isfinite(um)).any(axis=1).sum()),
         positions_mm=means(cnc.time_s, _positions_mm(configuration, cnc), first, count),
         file=tuple(files.get(int(number), "") for number in minute),
     )
+
+
+def _audited_otherwise(
+    configuration: Configuration,
+    reader: HistoryReader,
+    cnc: CncHistory,
+    um_per_unit: Mapping[str, float],
+    axes: Sequence[str],
+    first: int,
+    count: int,
+) -> BoolArray:
+    """Return in which minutes the audit of the writes knew something else applied than the echo says by now's units.
+
+    The echo moves within a minute, and is polled at other times than a write reads it: what it said in the minutes
+    around one counts.
+    """
+    frame = reader.frame(WRITES, MINUTE_S * first, MINUTE_S * (first + count), {"applied_um"})
+    audited, sloped = frame.mapping("applied_um").values, sloped_axes(configuration)
+    found = np.zeros((count, len(axes)), dtype=bool)
+    for column, axis in enumerate(axes):
+        for name in {axis, sloped[axis].slope if axis in sloped else axis} & audited.keys():
+            then_um = means(time_s_of(frame), audited[name][:, None], first, count)[:, 0]
+            low_um, high_um = _range_around(
+                cnc.time_s, _echo_um(configuration, cnc, name, um_per_unit[name]), first, count
+            )
+            slack_um = OTHERWISE_UM + OTHERWISE_SHARE * np.abs(then_um)
+            found[:, column] |= (then_um < low_um - slack_um) | (then_um > high_um + slack_um)
+    return found
+
+
+def _range_around(time_s: FloatArray, values: FloatArray, first: int, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return least and greatest value in each minute and its neighbours; infinite where there is none."""
+    low, high = np.full(count + 2, np.inf), np.full(count + 2, -np.inf)
+    place = np.floor(time_s / MINUTE_S).astype(np.intp) - first + 1
+    known = (place >= 0) & (place < count + 2) & np.isfinite(values)
+    np.minimum.at(low, place[known], values[known])
+    np.maximum.at(high, place[known], values[known])
+    low, high = (
+        np.minimum(np.minimum(low[:-2], low[1:-1]), low[2:]),
+        np.maximum(np.maximum(high[:-2], high[1:-1]), high[2:]),
+    )
+    return np.where(low <= high, low, -np.inf), np.where(low <= high, high, np.inf)
 
 
 def _positions_mm(configuration: Configuration, cnc: CncHistory) -> FloatArray:

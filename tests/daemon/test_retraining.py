@@ -125,6 +125,30 @@ def test_training_data_are_measured_minus_applied(machine: tuple[Installation, C
     assert recording.temperature_names == tuple(f"T{sensor_id}" for sensor_id in SENSOR_IDS)
 
 
+def test_what_was_applied_under_another_commissioning_is_not_counted_by_the_signs_of_now(
+    machine: tuple[Installation, Configuration, float], tmp_path: Path
+) -> None:
+    """It was turned round, or its control replaced: by the sign of now the machine's own error would be wrong twice."""
+    _, configuration, begin_s = machine
+    store, made, clock = tmp_path / "history.sqlite", signals(), make.StillClock()
+    shutil.copy(configuration.history.path, store)
+    writer = HistoryWriter(store, clock=clock, machine=MachineLayout.from_configuration(configuration))
+    writer.start()
+    for number, applied_um in enumerate(made["applied_um"]):
+        clock.utc_s = begin_s + 60.0 * number + 12.0
+        write_id = writer.write_intent(None, ((500, 1.0),), "cycle")
+        writer.write_outcome(write_id, make.receipt(clock.utc_s, ((500, 1.0),), applied_um=np.r_[0.0, applied_um]))
+    writer.close()
+    span = {"from_utc_s": begin_s - 1e5, "to_utc_s": begin_s + 1e5}
+    with HistoryReader(store) as reader:
+        (recording,) = recordings_from_history(configuration, reader, {"y": 1000.0, "z": 1000.0}, **span)
+        assert recording.rows == MINUTES and recording.displacements_um == pytest.approx(made["error_um"], abs=0.01)
+        for other in ({"y": -1000.0, "z": 1000.0}, {"y": 1000.0, "z": 500.0}):
+            words = r"no 120 .*; \d{3} minutes are left out, in which what was applied was counted by other signs"
+            with pytest.raises(DatasetError, match=words):
+                recordings_from_history(configuration, reader, other, **span)
+
+
 @pytest.mark.parametrize("of", ["sensors", "control", "gauge", "gauge away"])
 def test_nothing_is_trained_on_of_before_the_configuration_reads_what_it_reads_now(
     machine: tuple[Installation, Configuration, float], tmp_path: Path, of: str
