@@ -351,7 +351,7 @@ async def test_requests_of_a_stranger_that_arrive_together_leave_the_control_its
 
 
 async def test_a_client_that_takes_nothing_gets_the_newest_and_holds_up_nobody():
-    sent, room = [], [True]
+    sent, room = [], [math.inf]
     publisher = Publisher(lambda body, number: sent.append((number, body)), lambda: room[0])
     made = publisher.create((250.0, 30, 10, 0, True))
     tag = Variable((2, "x"), "x", Kind.DOUBLE)
@@ -367,7 +367,7 @@ async def test_a_client_that_takes_nothing_gets_the_newest_and_holds_up_nobody()
     ask(1)
     publisher.due(made.due_s)
     assert [number for number, _ in sent] == [1] and variant(Kind.DOUBLE, 1.0) in sent[0][1]
-    room[0] = False
+    room[0] = 0.0
     for number in range(2, 30):
         ask(number)
         tell_value(float(number))
@@ -375,12 +375,40 @@ async def test_a_client_that_takes_nothing_gets_the_newest_and_holds_up_nobody()
     told = [body for _, body in sent[1:]]
     assert all(body.startswith(b"\x01\x00\x8d\x01") for body in told), "only refusals of waiting requests"
     assert len(told) == 28 - subscriptions.MOST_PUBLISH_REQUESTS and len(publisher._requests) <= 12
-    room[0] = True
+    room[0] = math.inf
     ask(30)
     newest = [body for _, body in sent if variant(Kind.DOUBLE, 29.0) in body]
     assert len(newest) == 1, "of all that was missed the newest alone"
     assert not any(variant(Kind.DOUBLE, 28.0) in body for _, body in sent)
     assert len(made.kept) <= subscriptions.MOST_KEPT
+
+
+async def test_no_answer_is_longer_than_the_client_takes(tmp_path, keys):
+    async with tag_server(tmp_path, keys) as bench:
+        for most_bytes, most_chunks, count in ((6000, 0, 300), (0, 1, 1900)):
+            client = await bench.client("otto")
+            client.max_messagesize, client.max_chunkcount = most_bytes, most_chunks
+            async with client:
+                names = client.get_node(ua.ObjectIds.Server_NamespaceArray)
+                with pytest.raises(UaStatusCodeError, match="BadResponseTooLarge"):
+                    await client.read_values([names] * count)
+                assert len(await client.read_values([names] * 20)) == 20
+
+
+async def test_of_many_changes_a_client_is_told_as_many_at_a_time_as_it_takes():
+    sent = []
+    publisher = Publisher(lambda body, number: sent.append(body), lambda: 600.0)
+    made = publisher.create((250.0, 30, 10, 0, True))
+    for number in range(100):
+        tag = Variable((2, str(number)), "x", Kind.DOUBLE)
+        tag.set(variant(Kind.DOUBLE, float(number)), 0, 1.0)
+        made.items[number] = Item(variable=tag, handle=bytes(4), stamps=3, trigger=1, mode=2)
+    for number in range(12):
+        publisher.wait(PublishRequest(number=number, handle=number, acknowledged=bytes(4), until_s=math.inf))
+    publisher.due(made.due_s)
+    told = b"".join(sent)
+    assert max(map(len, sent)) <= 600
+    assert all(told.count(variant(Kind.DOUBLE, float(number))) == 1 for number in range(100))
 
 
 NO_HEADER = bytes(2) + bytes(8) + (9).to_bytes(4, "little") + bytes(4) + b"\xff" * 4 + bytes(4)

@@ -108,6 +108,12 @@ def fault(handle: int, status: int) -> bytes:
     return answer(FAULT, handle, b"", status)
 
 
+def too_large(longer: bytes) -> bytes:
+    """Return the answer in place of one that is longer than the client takes."""
+    _, handle, _ = _HEADER.unpack_from(longer, len(node_id((0, FAULT))))
+    return fault(handle, StatusCodes.BadResponseTooLarge)
+
+
 def listed(entries: list[bytes]) -> bytes:
     """Return a list of what is encoded already."""
     return _COUNT.pack(len(entries)) + b"".join(entries)

@@ -13,7 +13,7 @@ from asyncua.ua.status_codes import StatusCodes
 from asyncua.ua.ua_binary import struct_to_binary
 
 from drivers.opcua.log import limit_library_log
-from drivers.opcua.server.requests import Request, ServiceError, answer, fault, listed
+from drivers.opcua.server.requests import Request, ServiceError, answer, fault, listed, too_large
 from drivers.opcua.server.session import Session
 from drivers.opcua.server.settings import Identity, Trusted, Users
 from drivers.opcua.server.space import Space
@@ -113,7 +113,7 @@ class Conversation:
         self._until_s = time.monotonic() + FIRST_S
         product = "Toolpoint"
         self.session = Session(wire, server.identity, server.users, product, address)
-        self.publisher = Publisher(wire.send, lambda: wire.unsent < MOST_UNSENT)
+        self.publisher = Publisher(self._send, self._room)
         self._views = Views(server.space, server.refresh)
         watching = Watching(server.space, self.publisher, server.wake)
         named: dict[str, Service] = {
@@ -183,10 +183,16 @@ class Conversation:
             number, service = found
             body = await service(request)
         except ServiceError as refusal:
-            self._wire.send(fault(handle, refusal.status), message.request)
+            self._send(fault(handle, refusal.status), message.request)
             return
         if body is not None:
-            self._wire.send(answer(number, handle, body), message.request)
+            self._send(answer(number, handle, body), message.request)
+
+    def _send(self, body: bytes, number: int) -> None:
+        self._wire.send(body if len(body) <= self._wire.longest_answer else too_large(body), number)
+
+    def _room(self) -> float:
+        return self._wire.longest_answer if self._wire.unsent < MOST_UNSENT else 0.0
 
     async def _nothing(self, request: Request) -> bytes:
         return b""

@@ -21,6 +21,8 @@ MOST_ITEMS = 4000
 MOST_PUBLISH_REQUESTS = 12
 MOST_KEPT = 4
 """So many messages are kept until the client has acknowledged them."""
+ROOM_BESIDE = 128
+"""What an answer holds beside the news and what was acknowledged [byte]."""
 PUBLISH_RESPONSE = 829
 DATA_CHANGE = node_id((0, 811))
 REPORTING = 2
@@ -89,16 +91,20 @@ class Subscription:
     def revised(self) -> bytes:
         return struct.pack("<dII", self.interval_s * 1000.0, self.lifetime, self.most_silent)
 
-    def gathered(self) -> list[bytes]:
-        """Return what is to be told now, at most as much as the client takes at a time; the rest waits."""
-        fresh = [news for item in self.items.values() if (news := item.news()) is not None]
-        if not self.waiting and (not self.most_notifications or len(fresh) <= self.most_notifications):
-            return fresh
-        self.waiting.extend(fresh)
+    def gathered(self, room: float) -> list[bytes]:
+        """Return what is to be told now, at most as much as the client takes at a time; the rest waits.
+
+        `room`: so many bytes there are for it.
+        """
+        self.waiting.extend(news for item in self.items.values() if (news := item.news()) is not None)
         while len(self.waiting) > MOST_ITEMS:
             self.waiting.popleft()
-        count = min(self.most_notifications or len(self.waiting), len(self.waiting))
-        return [self.waiting.popleft() for _ in range(count)]
+        told: list[bytes] = []
+        most = self.most_notifications or MOST_ITEMS
+        while self.waiting and len(told) < most and (not told or len(self.waiting[0]) <= room):
+            room -= len(self.waiting[0])
+            told.append(self.waiting.popleft())
+        return told
 
     def keep(self, message: bytes) -> None:
         """Keep a message until it is acknowledged, and count on."""
@@ -122,9 +128,9 @@ class PublishRequest:
 class Publisher:
     """The subscriptions of one session, and the requests that wait for their answers."""
 
-    def __init__(self, send: Callable[[bytes, int], None], has_room: Callable[[], bool]) -> None:
-        """`send` takes an answer and its number; while `has_room` is False nothing is sent: values wait, the newest."""
-        self._send, self._has_room = send, has_room
+    def __init__(self, send: Callable[[bytes, int], None], room: Callable[[], float]) -> None:
+        """`send` takes an answer and its number, `room` tells how long that may be: at 0 values wait, the newest."""
+        self._send, self._room = send, room
         self.subscriptions: dict[int, Subscription] = {}
         self._requests: deque[PublishRequest] = deque()
         self._made = 0
@@ -208,10 +214,11 @@ class Publisher:
 
     def _publish(self, subscription: Subscription, now_s: float) -> bool:
         """Send what there is to send; return False where no request waits for it, or the client takes nothing."""
-        request = self._request(now_s) if self._has_room() else None
+        room = self._room()
+        request = self._request(now_s) if room else None
         if request is None:
             return False
-        news = subscription.gathered() if subscription.publishing else []
+        news = subscription.gathered(room - ROOM_BESIDE - len(request.acknowledged)) if subscription.publishing else []
         if not news and subscription.silent < subscription.most_silent:
             subscription.silent += 1
             self._requests.appendleft(request)

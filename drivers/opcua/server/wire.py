@@ -6,6 +6,7 @@ private key's costly operations: only a certificate that is trusted gets so far.
 
 import asyncio
 import contextlib
+import math
 import struct
 import time
 from collections.abc import Callable
@@ -13,7 +14,7 @@ from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
 from asyncua import ua
-from asyncua.common.connection import SecureConnection, TransportLimits
+from asyncua.common.connection import MessageChunk, SecureConnection, TransportLimits
 from asyncua.common.utils import Buffer
 from asyncua.crypto import security_policies
 from asyncua.ua.status_codes import StatusCodes
@@ -101,6 +102,8 @@ class Wire:
         ]
         self._secure.set_policy_factories(factories)
         self._greeted = False
+        self._most_bytes = self._most_chunks = math.inf
+        """Of an answer, as the client's hello has it."""
         self._keys_until_s = time.monotonic() + PART_S
         self.peer: Any = None
         """Certificate of the client, None on a channel without security."""
@@ -119,6 +122,12 @@ class Wire:
     def unsent(self) -> int:
         """Bytes that the client has not taken yet."""
         return self._writer.transport.get_write_buffer_size()
+
+    @property
+    def longest_answer(self) -> float:
+        """The longest answer that the client takes [byte]."""
+        in_chunk = MessageChunk.max_body_size(self.policy.symmetric_cryptography, self._limits.max_send_buffer)
+        return min(self._most_bytes, self._most_chunks * in_chunk)
 
     async def receive(self, patience_s: float) -> Message | None:
         """Return the next request, None when the client has closed the channel."""
@@ -164,6 +173,8 @@ class Wire:
         if self._greeted or min(hello.ReceiveBufferSize, hello.SendBufferSize) < LEAST_CHUNK:
             raise WireError(StatusCodes.BadConnectionRejected, "this is no hello")
         self._greeted = True
+        self._most_bytes, self._most_chunks = hello.MaxMessageSize or math.inf, hello.MaxChunkCount or math.inf
+        hello.MaxMessageSize = hello.MaxChunkCount = ua.UInt32(0)  # the library would have them for requests too
         answer = self._limits.create_acknowledge_and_set_limits(hello)
         self._writer.write(uatcp_to_binary(TYPES.MessageType.Acknowledge, answer))
 
