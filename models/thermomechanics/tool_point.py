@@ -274,8 +274,8 @@ class ToolPointTracker:
         differences, short = self._differences(now)
         if short:
             reasons.append(
-                f"the changes of temperature need {max(short):g} min of temperatures, "
-                f"{self._history.covered_min:.1f} min are there"
+                f"the changes of temperature need those of {' and '.join(f'{each:g}' for each in short)} min ago, "
+                f"which are missing; the oldest are {self._history.covered_min:.1f} min old"
             )
         reasons += self._beside_the_fit(now)
         axes = {

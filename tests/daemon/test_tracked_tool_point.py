@@ -32,7 +32,7 @@ def test_it_answers_with_the_trackers_response_and_flags(tracker: ToolPointTrack
     estimator = TrackedToolPoint(tracker, LABELS)
     known = estimator.renew(0.0, DEGC)
     assert known is not None
-    assert "the changes of temperature need 10 min" in known.inhibit
+    assert "need those of 4 and 10 min ago, which are missing; the oldest are 0.0 min old" in known.inhibit
     assert set(known.resonance_hz) == {"x", "y"}
     assert isinstance(known.response, SampledResponse)
     assert np.abs(known.response.receptance[:, 0, 0]).max() > 0.0
@@ -41,6 +41,15 @@ def test_it_answers_with_the_trackers_response_and_flags(tracker: ToolPointTrack
     again = estimator.renew(10.0, DEGC)
     assert again is not None
     assert again.flagged_ends is known.flagged_ends
+
+
+def test_temperatures_that_are_missing_between_older_ones_are_said_to_be() -> None:
+    """It said that the changes need 10 min, and that 11.7 min are there."""
+    estimator = TrackedToolPoint(new_tracker(), LABELS)
+    for time_s in (0.0, 700.0):
+        known = estimator.renew(time_s, DEGC)
+    assert known is not None
+    assert "need those of 4 and 10 min ago, which are missing; the oldest are 11.7 min old" in known.inhibit
 
 
 def test_a_flagged_property_at_its_other_end_is_another_response(tracker: ToolPointTracker) -> None:
