@@ -73,6 +73,13 @@ FEWEST_TO_MIX = 3
 """With fewer independent folds scores are too few to mix families by ..."""
 FEWEST_CYCLES_OF_ONE_RUN = 4
 """... and with fewer spindle cycles of a single run to take lags by: these are alike in what differs between days."""
+LASTS_LAGS = 4.0
+"""A single run must last so many times its longest lag, too: what it began in lasts through most of a shorter one, and
+all of its cycles share that."""
+TOO_FEW_FOR_LAGS = (
+    f"fewer than three whole runs, or {FEWEST_CYCLES_OF_ONE_RUN} cycles of a single one that lasts {LASTS_LAGS:g} "
+    "times its longest lag, can be left out, and lags that do well within a run may lead astray on another day"
+)
 BETTER_IN_BOTH = 0.8
 """Of two runs one family must leave less than this share of what another leaves, in each of them when only the other
 was trained on."""
@@ -240,11 +247,7 @@ class ChosenProblem:
             others += [chosen] if chosen not in (best_plain, *others) else []
             return chosen, others, "; ".join([*reasons, reason])
         if not self._tells_lags():
-            reasons.append(
-                f"fewer than three whole runs, or {FEWEST_CYCLES_OF_ONE_RUN} cycles of a single one, can be left out, "
-                f"and lags that do well within a run may lead astray on another day: {best_plain.family} is taken"
-            )
-            return best_plain, others, "; ".join(reasons)
+            return best_plain, others, "; ".join([*reasons, f"{TOO_FEW_FOR_LAGS}: {best_plain.family} is taken"])
         chosen, reason = simpler(best_plain, chosen)
         reasons.append(reason)
         if (own := self._of_channels(chosen)) is not None:
@@ -298,7 +301,9 @@ class ChosenProblem:
         """Return whether what can be left out tells of lags what they are worth on another day."""
         if len(np.unique(self._inputs.run[self._rows])) > 1:
             return self._independent >= FEWEST_TO_MIX
-        return self._inputs.speed_rpm is not None and self._independent >= FEWEST_CYCLES_OF_ONE_RUN
+        if self._inputs.speed_rpm is None or self._independent < FEWEST_CYCLES_OF_ONE_RUN:
+            return False
+        return bool(np.ptp(self._inputs.time_min[self._rows]) >= LASTS_LAGS * max(self._lags.all_min))
 
     def _of_two(self, plain: _Tried, other: _Tried) -> tuple[_Tried, str] | None:
         """Return the one that is clearly better in each of two runs, else half of each, and why; None: not two.
