@@ -101,7 +101,15 @@ def _sentence(details: list[Any], path: KeyPath, model: type[BaseModel]) -> str:
     subject = "the name" if "[key]" in first["loc"] else "this"
     comma = first["type"] == "float_type" and re.fullmatch(r"[-+]?\d+,\d+", str(given := first["input"]))
     hint = f": write it with a point, {given.replace(',', '.')}" if comma else ""
-    return f"{subject} must be {' or '.join(str(each) for each in expected)}, not {described(first['input'])}{hint}"
+    hidden = isinstance(first["input"], str) and _beside_a_secret(model, path)
+    found = "a text, which is not shown beside a password" if hidden else described(first["input"])
+    return f"{subject} must be {' or '.join(str(each) for each in expected)}, not {found}{hint}"
+
+
+def _beside_a_secret(model: type[BaseModel], path: KeyPath) -> bool:
+    """Say whether a key stands where a password or key is named, which may have been typed in its place."""
+    section = section_at(model, path[:-1])
+    return section is not None and any(re.search("passw|secret|token|_key", name) for name in section.model_fields)
 
 
 def _expected(detail: Any) -> str | None:

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from config.loader import ConfigurationError, load_configuration, load_yaml_model, parse_yaml_model
 from config.sample import sample_configuration
+from config.schema import Configuration
 from config.schema.base import Section
 from config.schema.cnc_drivers import OpcUaConfig
 from config.yaml_document import read_yaml
@@ -39,6 +40,15 @@ def problems(text: str, model: type[Section] = Whole) -> list[str]:
     with pytest.raises(ConfigurationError) as refused:
         parse_yaml_model(text, model, "f.yaml")
     return [str(problem) for problem in refused.value.problems]
+
+
+@pytest.mark.parametrize("key", ["port", "tls", "ca_certificate"])
+def test_a_text_in_a_wrong_key_is_not_shown_where_a_password_may_have_been_meant(key: str) -> None:
+    typed = "[hunter2]" if key == "ca_certificate" else "hunter2"
+    sink = f"mqtt: {{host: b, {key}: {typed}, user_name: a, password_file: /f}}"
+    (found,) = problems(f"{sample_configuration()}\nsinks:\n  - {{name: s, driver: mqtt, {sink}}}\n", Configuration)
+    assert f"sinks[0].mqtt.{key}: this must be" in found and "hunter2" not in found
+    assert ("a text, which is not shown" in found) is (key != "ca_certificate")
 
 
 @pytest.mark.parametrize(
