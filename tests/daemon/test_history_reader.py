@@ -168,6 +168,15 @@ def test_events_and_references(tmp_path: Path) -> None:
     assert replace(found, degc=reference.degc) == reference
 
 
+def test_a_time_that_no_record_can_have_is_before_or_after_all_of_them_and_no_damage(tmp_path: Path) -> None:
+    writer = HistoryWriter(tmp_path / "h.sqlite", clock=StillClock(), machine=SMALL)
+    writer.start()
+    writer.event("note", "here")
+    writer.close()
+    with HistoryReader(tmp_path / "h.sqlite") as reader:
+        assert len(reader.events(-1e30, float("inf"))) == 1 and reader.events(1e30, 1e31) == []
+
+
 def test_clock_that_was_set_back_loses_nothing(stored: Callable[[Fill], HistoryReader]) -> None:
     def fill(writer: HistoryWriter) -> None:
         for number, offset_s in enumerate((0, 10, 20, 5, 15, 25)):

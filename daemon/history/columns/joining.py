@@ -15,8 +15,8 @@ from models.units import degc_from_int16
 
 
 def ms_from_s(utc_s: float) -> int:
-    """Return seconds as whole milliseconds."""
-    return round(utc_s * 1e3)
+    """Return seconds as whole milliseconds; a time that no record can have is far before or after all of them."""
+    return round(min(max(utc_s, -(2.0**40)), 2.0**40) * 1e3)
 
 
 def time_s_of(frame: Frame) -> FloatArray:
