@@ -86,10 +86,7 @@ def own_unheard(topic: str) -> str:
 
 def primary_host_offline(topic: str) -> str:
     """Return that data wait for the host that is to have them."""
-    return (
-        f"`primary_host` is not online by its topic {topic}, so the history waits: start that host, check its ID, and "
-        "that it speaks Sparkplug 3.0"
-    )
+    return f"`primary_host` is not online by its topic {topic}, so the history waits: start that host, and check its ID"
 
 
 def primary_host_went(topic: str) -> str:

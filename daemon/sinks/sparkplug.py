@@ -10,6 +10,7 @@ metric. A batch counts as taken when the connection has lasted a while longer. R
 are historical.
 """
 
+import contextlib
 import functools
 import itertools
 import json
@@ -25,9 +26,9 @@ import structlog
 from config.schema.sinks import SinkConfig
 from daemon.history.cursors import Cursor, Position
 from daemon.sinks.ahead import Ahead
-from daemon.sinks.broker import ALWAYS, AT_ONCE, Broker, Message
+from daemon.sinks.broker import ALWAYS, AT_ONCE, IF_NEW, Broker, Message
 from daemon.sinks.broker_refusals import own_unheard, primary_host_offline, primary_host_went
-from daemon.sinks.contract import Progress, SinkWaitsError
+from daemon.sinks.contract import Progress, SinkError, SinkWaitsError
 from daemon.sinks.current import Freshness
 from daemon.sinks.mqtt import topic_level
 from daemon.sinks.outbox import STREAMS, Batch, Outbox
@@ -48,25 +49,33 @@ _sessions: defaultdict[str, Iterator[int]] = defaultdict(itertools.count)
 
 
 class PrimaryHost:
-    """What the topic STATE of a host says; an older message than the last one counts for nothing."""
+    """What the topic STATE of a host says; an older message than the last one counts for nothing.
+
+    Sparkplug 2.2 has a topic and words of its own, which count until the host has said something as 3.0 has it.
+    """
 
     def __init__(self, name: str) -> None:
-        self.topic = f"{NAMESPACE}/STATE/{name}"
+        self.topic, self.topic_2_2 = f"{NAMESPACE}/STATE/{name}", f"STATE/{name}"
         self.online = False
+        self._speaks_3_0 = False
         self._newest_ms: float = -1
 
     def forget(self) -> None:
         """Take the next message whatever its time: the clock of a host may have been set back."""
         self._newest_ms = -1
 
-    def update(self, content: bytes) -> None:
+    def update(self, topic: str, content: bytes) -> None:
+        if topic == self.topic_2_2:
+            if not self._speaks_3_0 and content in (b"ONLINE", b"OFFLINE"):
+                self.online = content == b"ONLINE"
+            return
         try:
             said = json.loads(content)
             online, newest_ms = said["online"], said["timestamp"]
         except (ValueError, RecursionError, TypeError, KeyError):
             return
         if isinstance(online, bool) and isinstance(newest_ms, int | float) and newest_ms >= self._newest_ms:
-            self.online, self._newest_ms = online, newest_ms
+            self.online, self._newest_ms, self._speaks_3_0 = online, newest_ms, True
 
 
 class SparkplugSink:
@@ -107,8 +116,15 @@ class SparkplugSink:
         for topic in self._unheard:
             self._broker.subscribe(topic)
         if self._host is not None:
-            self._broker.subscribe(self._host.topic)
+            self._ask_for(self._host, IF_NEW)
         return cursor.positions
+
+    def _ask_for(self, host: PrimaryHost, retained: int) -> None:
+        """Subscribe to what the host says, that of 3.0 first; the topic of 2.2 may be forbidden."""
+        self._broker.subscribe(host.topic, retained)
+        with contextlib.suppress(SinkError):
+            self._broker.subscribe(host.topic_2_2, retained)
+        self._broker.check()
 
     def close(self) -> None:
         """Close the connection; the broker publishes the death of a node that was born."""
@@ -123,7 +139,7 @@ class SparkplugSink:
         self._ahead.settle(progress)
         if self._host is not None and not self._host.online:
             self._host.forget()
-            self._broker.subscribe(self._host.topic, ALWAYS)
+            self._ask_for(self._host, ALWAYS)
             raise SinkWaitsError(f"{self._where}: {primary_host_offline(self._host.topic)}")
         if not self._born:
             self._learn(outbox)
@@ -258,8 +274,8 @@ class SparkplugSink:
                 waiting = self._unheard.get(topic, ())
                 if (payload := hash(content)) in waiting:
                     self._unheard[topic] = waiting[waiting.index(payload) + 1 :]
-        elif self._host is not None and topic == self._host.topic:
-            self._host.update(content)
+        elif self._host is not None and topic in (self._host.topic, self._host.topic_2_2):
+            self._host.update(topic, content)
             if self._born and not self._host.online:
                 self._broker.leave(primary_host_went(topic))
 

@@ -267,6 +267,42 @@ def test_a_node_that_was_not_born_does_not_die_and_one_that_was_does(tmp_path: P
     assert heard[0] == "NBIRTH" and heard.count("NDEATH") == 1
 
 
+def test_a_host_of_sparkplug_2_2_is_waited_for_too_and_what_is_left_of_it_does_not_count_beside_3_0(
+    tmp_path: Path,
+) -> None:
+    store = tmp_path / "h.sqlite"
+    fill(store, hours=0.2)
+    here, away = (f'{{"online": {word}, "timestamp": 1}}' for word in ("true", "false"))
+    said = {"old": ("ONLINE", None), "gone": ("OFFLINE", None), "renewed": ("OFFLINE", here), "both": ("ONLINE", away)}
+
+    def waits(port: int, host: str) -> list[str]:
+        """Send until nothing keeps the sink from it, or a few times; return what did."""
+        stop, found = threading.Event(), list[str]()
+
+        def wait(_duration_s: float) -> None:
+            found.append(runner.cursor.problem)
+            if not found[-1] or len(found) > 5:
+                stop.set()
+            stop.wait(0.05)
+
+        config = section(port, group=host, primary_host=host)
+        runner = SinkRunner(config, store, "mill", stop, wait=wait)
+        runner.run()
+        return found
+
+    with mosquitto(tmp_path, "allow_anonymous true") as port:
+        words = ["-h", "127.0.0.1", "-p", str(port), "-r"]
+        for host, told in said.items():
+            for topic, text in zip((f"STATE/{host}", f"spBv1.0/STATE/{host}"), told, strict=True):
+                if text is not None:
+                    subprocess.run(["mosquitto_pub", *words, "-t", topic, "-m", text], check=True)
+        for host in ("gone", "both"):
+            assert all("is not online" in each for each in waits(port, host))
+        assert waits(port, "renewed")[-1] == waits(port, "old")[-1] == ""
+    cursor = Cursor.read(cursor_path(store, "scada"))
+    assert cursor is not None and not rows_waiting(store, cursor)
+
+
 class OlderBroker(socketserver.ThreadingTCPServer):
     """Passes on to a broker who speaks MQTT 3.1.1, and answers who speaks 5 as brokers do that do not know it."""
 
