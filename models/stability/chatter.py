@@ -186,7 +186,7 @@ def _on_multiples(frequency_hz: FloatArray, base_hz: float, width_hz: FloatArray
 def _passing_hz(frame: SpectrumFrame, given_hz: float) -> float:
     """Return the tooth-passing frequency whose harmonics stand out most, near the given one."""
     highest = float(frame.frequency_hz[-1])
-    if not 0.0 < given_hz < highest:
+    if not 0.0 < given_hz * (1.0 + SPEED_TOLERANCE) < highest:
         raise StabilityError(
             f"the teeth pass at {given_hz:g} Hz, and the recording reaches {highest:g} Hz; "
             "check speed and teeth, or sample faster"

@@ -131,8 +131,9 @@ def lobes(
                 for name, depths in (("depth_low_mm", limits.low_mm), ("depth_high_mm", limits.high_mm)):
                     content[name] = [_shown_depth(each, content["max_depth_mm"]) for each in depths]
                 lowest = replace(found, limiting_depth_mm=limits.low_mm)
-                lowest_mm = float(limits.low_mm.min())
-                say(f"as far as the case's numbers are known: stable everywhere up to {lowest_mm:.4g} mm")
+                lowest_mm = _shown_depth(float(limits.low_mm.min()), content["max_depth_mm"])
+                words = "no limit is found" if lowest_mm is None else f"stable everywhere up to {lowest_mm:.4g} mm"
+                say(f"as far as the case's numbers are known: {words}")
                 diagrams.append(("careful", lowest))
             if picture is not None:
                 from daemon.workbench.stability.pictures import lobes_picture
