@@ -25,6 +25,8 @@ MOST_LOBES = 20_000
 """Above so many lobes the speed is too low to mill at."""
 MOST_REFINED = 8
 """So many of the highest peaks are looked at between the samples; noise has more."""
+NEARBY = 1e-3
+"""Envelopes take two speeds at least; beside a single one lies another this share above it."""
 NEAR_RANGE = 1.02
 """A peak between samples may belong to a speed this much beyond that of its highest sample."""
 RISE_BETWEEN_SAMPLES = 1.1
@@ -72,6 +74,17 @@ def lowest_over_feed_directions(
     return _lobes(response, cut, (from_rpm, to_rpm, points), feeds)
 
 
+def limiting_depth(
+    response: ToolPointResponse, cut: Cut, *, speed_rpm: float, feed_deg: float = 0.0
+) -> tuple[float, float]:
+    """Return the limiting depth [mm] at one speed [1/min] and the frequency of its chatter [Hz].
+
+    Result: inf and NaN where no lobe has this speed. Else as `zeroth_order_lobes`.
+    """
+    (direction,) = _directions(response, cut, np.array([speed_rpm, speed_rpm * (1.0 + NEARBY)]), (feed_deg,))[0]
+    return mm_from_m(float(direction.depth_m[0])), float(direction.chatter_hz[0])
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Direction:
     """The lobes of one feed direction: its eigenvalues and their envelope."""
@@ -86,26 +99,9 @@ def _lobes(
     response: ToolPointResponse, cut: Cut, speeds: tuple[float, float, int], feeds_deg: tuple[float, ...]
 ) -> StabilityLobes:
     """Return the lowest lobes over some feed directions."""
-    if cut.beyond_straight:
-        raise StabilityError(
-            f"the zeroth-order solution knows no {', '.join(cut.beyond_straight)}; add --method sdm, which does"
-        )
     check_range(*speeds)
     speed_rpm = np.linspace(*speeds)
-    warnings: tuple[str, ...] = ()
-    if isinstance(response, SampledResponse):
-        warnings = check_lines(response.frequency_hz, cut.teeth, speeds[0], speeds[1])
-    frequency_hz = response.frequencies_hz(tooth_passing_hz(speeds[1], cut.teeth))
-    receptance = response.receptance_m_per_n(frequency_hz)
-    check_finite(frequency_hz, receptance)
-    directions = []
-    for feed_deg in feeds_deg:
-        followed = _followed(_eigenvalues(receptance, cut, feed_deg))
-        first, second = (_branch(frequency_hz, column) for column in followed.T)
-        depth_m, chatter_hz = _envelope((first, second), cut, speed_rpm)
-        directions.append(
-            _Direction(feed_deg=feed_deg, branches=(first, second), depth_m=depth_m, chatter_hz=chatter_hz)
-        )
+    directions, warnings = _directions(response, cut, speed_rpm, feeds_deg)
     minimum, feed_deg, at_edge = _minimum(response, cut, directions, speed_rpm)
     if at_edge:
         warnings += (
@@ -122,6 +118,32 @@ def _lobes(
         feed_deg=feed_deg,
         warnings=warnings,
     )
+
+
+def _directions(
+    response: ToolPointResponse, cut: Cut, speed_rpm: FloatArray, feeds_deg: tuple[float, ...]
+) -> tuple[list[_Direction], tuple[str, ...]]:
+    """Return the lobes of some feed directions at evenly spaced speeds, and warnings about the band."""
+    if cut.beyond_straight:
+        raise StabilityError(
+            f"the zeroth-order solution knows no {', '.join(cut.beyond_straight)}; add --method sdm, which does"
+        )
+    slowest_rpm, fastest_rpm = float(speed_rpm[0]), float(speed_rpm[-1])
+    warnings: tuple[str, ...] = ()
+    if isinstance(response, SampledResponse):
+        warnings = check_lines(response.frequency_hz, cut.teeth, slowest_rpm, fastest_rpm)
+    frequency_hz = response.frequencies_hz(tooth_passing_hz(fastest_rpm, cut.teeth))
+    receptance = response.receptance_m_per_n(frequency_hz)
+    check_finite(frequency_hz, receptance)
+    directions = []
+    for feed_deg in feeds_deg:
+        followed = _followed(_eigenvalues(receptance, cut, feed_deg))
+        first, second = (_branch(frequency_hz, column) for column in followed.T)
+        depth_m, chatter_hz = _envelope((first, second), cut, speed_rpm)
+        directions.append(
+            _Direction(feed_deg=feed_deg, branches=(first, second), depth_m=depth_m, chatter_hz=chatter_hz)
+        )
+    return directions, warnings
 
 
 def _eigenvalues(receptance: ComplexArray, cut: Cut, feed_deg: float) -> ComplexArray:

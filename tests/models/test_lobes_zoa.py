@@ -7,7 +7,7 @@ import pytest
 
 from models.errors import StabilityError
 from models.stability.frf_modal_fit import fit_modes
-from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
+from models.stability.lobes_zoa import limiting_depth, lowest_over_feed_directions, zeroth_order_lobes
 from models.stability.milling import (
     Cut,
     MillingMode,
@@ -119,3 +119,16 @@ def test_refusals_say_what_to_do() -> None:
         engagement_rad(MillingMode.SLOT, 5.0, 10.0)
     with pytest.raises(StabilityError, match="die away"):
         mode_from_mass(600.0, -0.01, 1.0)
+
+
+def test_a_single_speed_has_the_limit_of_the_lobes_or_none() -> None:
+    """Where no lobe has a speed, a spindle that is computed at each speed had no lobes at all."""
+    lines_hz = np.arange(400.0, 701.0)
+    one = ModalResponse(xx=(mode_from_stiffness(600.0, 0.03, 1e7),))
+    sampled = SampledResponse(frequency_hz=lines_hz, receptance=one.receptance_m_per_n(lines_hz))
+    cut = Cut(teeth=2, start_rad=0.0, exit_rad=math.pi, tangential_n_per_m2=6e8, radial_ratio=0.3)
+    lobes = zeroth_order_lobes(sampled, cut, from_rpm=20000.0, to_rpm=20900.0, points=2)
+    found = limiting_depth(sampled, cut, speed_rpm=20000.0)
+    assert found == pytest.approx((lobes.limiting_depth_mm[0], lobes.chatter_hz[0]), rel=1e-3)
+    depth_mm, chatter_hz = limiting_depth(sampled, cut, speed_rpm=15000.0)
+    assert depth_mm == math.inf and math.isnan(chatter_hz)

@@ -1,5 +1,6 @@
 """A stability case with its FRF files -> the structure at the tool point."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ from drivers.files.frf_measurement import read_measurements
 from models.dynamics.measurement import Measurement, MeasurementError
 from models.dynamics.plausibility import check_tool_point
 from models.errors import StabilityError
-from models.stability.frf_modal_fit import ModalFit, fit_modes
+from models.records import FloatArray
+from models.stability.frf_modal_fit import CLEAR_FIT, WORSE, ModalFit, fit_modes
 from models.stability.lobes import check_lines
 from models.stability.milling import tooth_passing_hz
 from models.stability.response import (
@@ -38,7 +40,37 @@ STANDING_RPM = 1e-3
 AROUND = np.linspace(0.98, 1.02, 81)
 """Frequencies beside each peak of the spindle that stands, as shares of it: peaks are narrower than the lines."""
 LOWEST_LINE_HZ, HIGHEST_LINE_HZ = 20.0, 4000.0
-"""Where they begin, and where they end at least; the highest tooth-passing frequency lies inside."""
+"""Where they begin, and where they end at least; the highest tooth-passing frequency and every resonance that counts
+lie inside. Above, lines lie as far apart as there, beside their frequency."""
+SEARCH_END_HZ = 50_000.0
+"""So far resonances are looked for: the tip of a small tool has its largest beyond 10 kHz."""
+COUNTING = 0.25
+"""A peak of the spindle that stands counts when it is at least this share of the highest."""
+FITTED_LINES = 8
+"""Modes are fitted to every one of so many lines, and to all beside the peaks."""
+WHIRLS, FIRST_DAMPING, OUTSIDE = (0.998, 1.002), 0.003, 1.3
+"""Where a fit begins: shares of a resonance's frequency, damping ratio, share of the last frequency."""
+BEYOND = 1.2
+"""The lines end this many times beyond what they have to hold."""
+
+
+def _lines(end_hz: float) -> FloatArray:
+    """Return frequencies evenly spaced up to `HIGHEST_LINE_HZ`, and by equal ratios above, to beyond an end [Hz]."""
+    count = math.ceil(math.log(end_hz / HIGHEST_LINE_HZ) * HIGHEST_LINE_HZ / LINES_HZ) + 1
+    above = np.geomspace(HIGHEST_LINE_HZ, end_hz, count)
+    return np.concatenate((np.arange(LOWEST_LINE_HZ, HIGHEST_LINE_HZ, LINES_HZ), above))
+
+
+def _first_modes(peaks_hz: FloatArray, end_hz: float) -> ModalFit:
+    """Return where a fit begins: at a pair of whirls for each resonance [Hz], and beyond the end.
+
+    A search finds neither a pair so close nor a single narrow resonance far up a wide band.
+    """
+    places = np.append(np.outer(peaks_hz, WHIRLS), OUTSIDE * end_hz)
+    modes = tuple(
+        Mode(frequency_hz=place, damping_ratio=FIRST_DAMPING, displacement_gain_per_kg=1.0) for place in places.tolist()
+    )
+    return ModalFit(modes=modes, relative_residual=math.inf, searched_residual=CLEAR_FIT / WORSE)
 
 
 class RotatingSpindle:
@@ -54,17 +86,26 @@ class RotatingSpindle:
         self._spindles = tuple(read_spindle(path) for path in self._files)
         self._assemblies = tuple(spindle.assembly("tool") for spindle in self._spindles)
         self.warnings = tuple(dict.fromkeys(text for spindle in self._spindles for text in spindle.warnings))
-        end_hz = max(HIGHEST_LINE_HZ, 1.2 * tooth_passing_hz(highest_rpm, case.teeth))
         self._fits: dict[str, ModalFit] = {}
-        self._frequency_hz = np.arange(LOWEST_LINE_HZ, end_hz + LINES_HZ, LINES_HZ)
-        near = [peak * AROUND for peak in self._peaks_hz()]
-        self._frequency_hz = np.unique(np.round(np.concatenate((self._frequency_hz, *near)), 6))
-        self._frequency_hz = self._frequency_hz[self._frequency_hz <= end_hz]
+        passing_hz = tooth_passing_hz(highest_rpm, case.teeth)
+        self._frequency_hz = _lines(max(SEARCH_END_HZ, BEYOND * passing_hz))
+        peaks_hz, counting_hz = self._peaks_hz()
+        end_hz = max(HIGHEST_LINE_HZ, BEYOND * max(passing_hz, *counting_hz))
+        near = np.round(np.outer(peaks_hz, AROUND).ravel(), 6)
+        lines = np.unique(np.round(np.concatenate((self._frequency_hz, near)), 6))
+        self._frequency_hz = lines[lines <= end_hz]
+        self._fitted = np.isin(self._frequency_hz, near)
+        self._fitted[::FITTED_LINES] = True
+        self._start = _first_modes(peaks_hz[peaks_hz < end_hz], end_hz)
 
-    def _peaks_hz(self) -> list[float]:
+    def _peaks_hz(self) -> tuple[FloatArray, FloatArray]:
+        """Return the resonances along X or Y [Hz], and those of them that count."""
         size = np.abs(self.at(STANDING_RPM).receptance[:, [0, 1], [0, 1]])
-        tops = (size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:])
-        return [float(self._frequency_hz[place + 1]) for place in np.flatnonzero(tops.any(axis=1))]
+        inside = size[1:-1]
+        tops = (inside > size[:-2]) & (inside >= size[2:])
+        counting = tops & (inside >= COUNTING * np.where(tops, inside, 0.0).max())
+        peaks_hz, counting_hz = (self._frequency_hz[1:-1][each.any(axis=1)] for each in (tops, counting))
+        return peaks_hz, counting_hz
 
     def at(self, speed_rpm: float) -> SampledResponse:
         """Return the response at a speed [1/min]; raises StabilityError."""
@@ -80,7 +121,10 @@ class RotatingSpindle:
         samples = self.at(speed_rpm)
         modes = {}
         for name, (row, column) in PLACES.items():
-            fit = fit_modes(samples.frequency_hz, samples.receptance[:, row, column], start=self._fits.get(name))
+            alike = self._fits.get("xy", self._start) if name == "yx" else self._start
+            start = self._fits.get(name, alike)
+            entry = samples.receptance[self._fitted, row, column]
+            fit = fit_modes(samples.frequency_hz[self._fitted], entry, start=start)
             self._fits[name] = fit
             if fit.warnings:
                 raise StabilityError(f"{self._files[0]}, {name} at {speed_rpm:g} 1/min: {fit.warnings[0]}")

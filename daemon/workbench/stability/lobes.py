@@ -14,6 +14,7 @@ from models.spindle_speed.tuning import SpeedChoice
 from models.stability.collocation import follows, spectral_radii
 from models.stability.lobes import LobeMinimum, StabilityLobes, check_range
 from models.stability.lobes_sdm import limiting_depth, semi_discretised_lobes, semi_discretised_over_feed_directions
+from models.stability.lobes_zoa import limiting_depth as zoa_limiting_depth
 from models.stability.lobes_zoa import lowest_over_feed_directions, zeroth_order_lobes
 from models.stability.milling import Cut
 from models.stability.response import ModalResponse, ToolPointResponse
@@ -33,8 +34,6 @@ DRAWS = {"zoa": 60, "sdm": 20}
 TURNING_POINTS = 60
 """Speeds at which a spindle that turns is computed."""
 FEEDS_DEG = tuple(22.5 * number for number in range(8))
-NEARBY = 1e-3
-"""The zeroth order takes two speeds at least; the second lies this share above the one that counts."""
 CHOICE_POINTS = {"zoa": 601, "sdm": 121}
 """Speeds among which one is chosen."""
 
@@ -95,8 +94,10 @@ def _turning_lobes(case: StabilityCase, request: LobesRequest) -> StabilityLobes
     lowest, columns = np.argmin(found[:, :, 0], axis=1), np.arange(len(speeds_rpm))
     depths_mm, chatter_hz = found[columns, lowest].T
     place = int(np.argmin(depths_mm))
-    minimum = None
-    if np.isfinite(depths_mm[place]):
+    minimum, warnings = None, spindle.warnings
+    if not np.isfinite(depths_mm[place]):
+        warnings += ("no lobe has any of these speeds: nothing limits the depth, as far as was looked",)
+    else:
         minimum = LobeMinimum(
             speed_rpm=float(speeds_rpm[place]), depth_mm=float(depths_mm[place]), chatter_hz=float(chatter_hz[place])
         )
@@ -106,7 +107,7 @@ def _turning_lobes(case: StabilityCase, request: LobesRequest) -> StabilityLobes
         chatter_hz=chatter_hz,
         minimum=minimum,
         feed_deg=feeds_deg[int(lowest[place])],
-        warnings=spindle.warnings,
+        warnings=warnings,
         max_depth_mm=request.max_depth_mm or np.inf,
     )
 
@@ -116,12 +117,8 @@ def _turning_limits(
 ) -> list[tuple[float, float]]:
     """Return limiting depth [mm] and chatter frequency [Hz] at one speed for each direction of the feed."""
     if request.method == "zoa":
-        samples, nearby_rpm = spindle.at(speed_rpm), speed_rpm * (1.0 + NEARBY)
-        both = [
-            zeroth_order_lobes(samples, cut, from_rpm=speed_rpm, to_rpm=nearby_rpm, points=2, feed_deg=feed_deg)
-            for feed_deg in feeds_deg
-        ]
-        return [(float(lobes.limiting_depth_mm[0]), float(lobes.chatter_hz[0])) for lobes in both]
+        samples = spindle.at(speed_rpm)
+        return [zoa_limiting_depth(samples, cut, speed_rpm=speed_rpm, feed_deg=feed_deg) for feed_deg in feeds_deg]
     modes = spindle.modes_at(speed_rpm)
     return [
         limiting_depth(
