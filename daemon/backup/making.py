@@ -46,6 +46,8 @@ from daemon.model_release.repository import bearing_releases
 BACKUP_MODE = 0o640
 MOUNT_TABLE = Path("/etc/fstab")
 MISSING = "there is no such file, and a spindle speed is planned with it"
+PAGES_AT_ONCE, STEPS_AT_ONCE = 2048, 10_000_000
+"""Of the copy, and of its check."""
 LEFT_BEHIND_S = 86_400.0
 """No back-up takes so long [s]."""
 
@@ -121,13 +123,20 @@ def _remove_left_behind(work: Path) -> None:
                 shutil.rmtree(left) if left.is_dir() else left.unlink()
 
 
+def answer_signals(*_: object) -> None:
+    """Let what ends a back-up end it within seconds: SQLite alone would go on to the end of a store of any size."""
+
+
 def copy_store(path: Path, destination: Path) -> None:
     """Copy a store, also one that is being written, to a file that is complete or not there."""
     partial = Path(f"{destination}.partial")
     partial.unlink(missing_ok=True)
     try:
         with closing(connect_reader(path)) as source, closing(sqlite3.connect(partial)) as target:
-            source.backup(target)
+            source.execute("BEGIN")  # one view of the store: else each commit of the daemon would begin the copy anew
+            source.execute("SELECT count(*) FROM sqlite_master").fetchone()
+            source.backup(target, pages=PAGES_AT_ONCE, progress=answer_signals)
+            target.set_progress_handler(answer_signals, STEPS_AT_ONCE)
             (verdict,) = target.execute("PRAGMA quick_check(1)").fetchone()
     except sqlite3.Error as error:
         partial.unlink(missing_ok=True)

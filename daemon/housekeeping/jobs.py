@@ -47,6 +47,8 @@ class ScheduledProcess(ABC):
         self._problem = self._unanswered = self._outcome = ""
         self._look: Future[bool] | None = None
         self._process: asyncio.subprocess.Process | None = None
+        self._not_before_s = float("-inf")
+        """A run that failed is not tried again before as much time has passed as it took [s of the monotonic clock]."""
         self.attempted_utc_s = float("-inf")
         """When the command was last started; -inf: not since the daemon began."""
         self.first_look_s = first_look_s
@@ -71,12 +73,13 @@ class ScheduledProcess(ABC):
             self._unanswered = self._said(self._unanswered, f"{self._failure}: {_in_words(error)}")
             return
         self._unanswered = ""
-        if not due:
+        if not due or (begun_s := time.monotonic()) < self._not_before_s:
             return
         self.attempted_utc_s = time.time()
         try:
             text = await self._run()
         except Exception as error:
+            self._not_before_s = 2 * time.monotonic() - begun_s
             self._problem = self._said(self._problem, f"{self._failure}: {_in_words(error)}")
             return
         self._problem, self._outcome = "", text
@@ -118,9 +121,10 @@ class ScheduledProcess(ABC):
         except TimeoutError as error:
             raise OSError(f"it was ended because it took longer than {RUN_WITHIN_S / 3600.0:g} h") from error
         finally:
-            if process.returncode is None:
-                process.kill()
-                await asyncio.wait([asyncio.ensure_future(process.wait())], timeout=END_WITHIN_S)
+            for end in (process.terminate, process.kill):  # told to end, it removes what it has half done
+                if process.returncode is None:
+                    end()
+                    await asyncio.wait([asyncio.ensure_future(process.wait())], timeout=END_WITHIN_S)
         if process.returncode != 0:
             said = words.decode("utf-8", "replace").strip().splitlines()
             raise OSError(said[-1] if said else f"status {process.returncode}")

@@ -3,6 +3,7 @@
 import asyncio
 import json
 import os
+import signal
 import threading
 import time
 from datetime import datetime
@@ -84,15 +85,21 @@ async def test_a_run_that_does_not_end_is_ended_said_and_tried_again(installatio
     waits = installation.config_path.with_name("waits.yaml")
     os.mkfifo(waits)  # the command waits until somebody writes its configuration
     job = BackupJob(installation.configuration, waits, config, lambda *words: said.append(words))
-    monkeypatch.setattr(jobs, "RUN_WITHIN_S", 2.0)
+    monkeypatch.setattr(jobs, "RUN_WITHIN_S", 1.0)
+    begun_s = time.monotonic()
     async with asyncio.timeout(30.0):
         await job.run_if_due()
+    ended, took_s = job._process, time.monotonic() - begun_s
+    assert ended.returncode == -signal.SIGTERM, "what it had begun it can remove: a back-up has twice the store's size"
     assert not [child for child in psutil.Process().children() if str(waits) in " ".join(child.cmdline())]
     ((kind, text),) = said
     assert kind == "backup" and "it was ended because it took longer than" in text and text == job.snapshot().problem
     waits.unlink()
     waits.write_bytes(installation.config_path.read_bytes())
     monkeypatch.setattr(jobs, "RUN_WITHIN_S", 60.0)
+    await job.run_if_due()
+    assert job._process is ended, "a share that is too slow is not written to all day"
+    await asyncio.sleep(took_s)
     await job.run_if_due()
     assert job.snapshot().problem == "" and len(existing_backups(config.directory, "Mill 7 (hall)")) == 1
 

@@ -1,6 +1,8 @@
 """Packed hours in a store: nothing is changed by packing, and nothing is lost or doubled on the way."""
 
+import signal
 import sqlite3
+import sys
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
@@ -13,6 +15,7 @@ from history_records import EPOCH_S, SMALL, StillClock
 from tidied_store import housekeeping
 
 from config.schema.service import HistoryConfig
+from daemon.backup import making
 from daemon.backup.making import copy_store
 from daemon.history.columns.kinds import CYCLES, KINDS
 from daemon.history.columns.packed_hour import PackedHour
@@ -251,6 +254,34 @@ def test_backup_of_a_store_in_use_is_whole(store: Path, tmp_path: Path) -> None:
     writer.close()
     assert everything(destination) == everything(store)
     assert sorted(p.name for p in tmp_path.iterdir() if "partial" in p.name) == []
+
+
+def test_a_backup_ends_when_it_is_told_to_and_begins_anew_for_no_commit(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pieces: list[tuple[object, ...]] = []
+    writer = HistoryWriter(store, clock=StillClock(), machine=SMALL)
+    writer.start()
+
+    def commit(*piece: object) -> None:
+        pieces.append(piece)
+        writer.event("note", "meanwhile").result(5.0)
+
+    monkeypatch.setattr(making, "PAGES_AT_ONCE", 10)
+    monkeypatch.setattr(making, "answer_signals", commit)
+    copy_store(store, tmp_path / "backup.sqlite")
+    left = [piece[1] for piece in pieces if piece]
+    assert len(left) > 3 and left == sorted(left, reverse=True)
+    monkeypatch.setattr(making, "answer_signals", lambda *_: signal.raise_signal(signal.SIGTERM))
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    try:
+        with pytest.raises(SystemExit):
+            copy_store(store, tmp_path / "other.sqlite")
+    finally:
+        signal.signal(signal.SIGTERM, before)
+        writer.close()
+    with HistoryReader(tmp_path / "backup.sqlite") as reader:
+        assert reader.events(0.0, 1e11) == [], "as it was when the copy began"
 
 
 def test_failing_backup_leaves_the_older_one(store: Path, tmp_path: Path) -> None:
