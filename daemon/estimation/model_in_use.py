@@ -11,7 +11,7 @@ import structlog
 from daemon.snapshots import Contributions
 from daemon.telemetry.metrics import give_memory_back
 from models.records import FloatArray, Reference
-from models.sensor_levels import OWN_K, Changes
+from models.sensor_levels import OWN_K, Changes, SensorLevels
 from models.thermal.estimation import Estimation, Machine, OnlineReference, Samples
 from models.thermal.family import ThermalModel
 
@@ -96,9 +96,13 @@ class ModelInUse:
 
         So a level that is wrong for a while leaves nothing behind in the lags, and neither does one that stays.
         """
-        of_inputs = np.zeros(len(self._inputs))
-        of_inputs[: len(self.places)] = jump_k[self.places]
-        self._online.jumped(of_inputs)
+        self._online.jumped(self._of_inputs(jump_k))
+
+    def _of_inputs(self, of_sensors_k: FloatArray) -> FloatArray:
+        """Return differences of temperature in the model's order [K], 0 for axis positions."""
+        of_inputs_k = np.zeros(len(self._inputs))
+        of_inputs_k[: len(self.places)] = of_sensors_k[self.places]
+        return of_inputs_k
 
     def set_reference(
         self,
@@ -107,7 +111,7 @@ class ModelInUse:
         excluded: Mapping[int, str] | None = None,
         kept: Mapping[str, Any] | None = None,
         inputs: FloatArray | None = None,
-        jumps: Changes = (),
+        levels: SensorLevels | None = None,
     ) -> None:
         """Count from this reference from now on; `inputs`: its temperatures with the axis positions behind them.
 
@@ -118,7 +122,7 @@ class ModelInUse:
         then_s, jumped_k = reference.time.monotonic_s, np.zeros(len(self._inputs))
         if excluded is None:
             lags_right_s, self._lags_right_s = max(self._lags_right_s, now_s - self.memory_s), now_s
-            for at_s, place, jump_k in jumps:
+            for at_s, place, jump_k in () if levels is None else levels.jumps:
                 jumped_k[self._inputs == place] += jump_k if at_s > lags_right_s else 0.0
         lies_back = excluded is not None and self._online.history_min > 0.0
         admitted = self._online.set_reference(
@@ -130,6 +134,7 @@ class ModelInUse:
                 excluded=excluded,
                 kept=kept,
                 jumped_k=np.where(np.abs(jumped_k) > OWN_K, jumped_k, 0.0),
+                shift_k=0.0 if levels is None else self._of_inputs(levels.shift_k),
             )
         )
         if admitted:
@@ -168,9 +173,7 @@ class ModelInUse:
 
     def level_um(self, uncertainty_k: FloatArray) -> float:
         """Return by how much the thermal error may be wrong if sensors' levels are wrong by so much [K]."""
-        of_inputs = np.zeros(len(self._inputs))
-        of_inputs[: len(self.places)] = uncertainty_k[self.places]
-        return self._online.level_um(of_inputs)
+        return self._online.level_um(self._of_inputs(uncertainty_k))
 
     @property
     def excluded(self) -> dict[int, str]:

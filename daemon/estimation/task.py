@@ -304,8 +304,8 @@ class ThermalTask:
         self._since.begin(reference)
         self._since.positions_mm = self._positions.set_reference(now.monotonic_s)
         if self._online is not None:
-            inputs, jumps = self._positions.at_reference(degc), self._cleansing.levels.jumps
-            self._online.set_reference(reference, now.monotonic_s, inputs=inputs, jumps=jumps)
+            inputs, levels = self._positions.at_reference(degc), self._cleansing.levels
+            self._online.set_reference(reference, now.monotonic_s, inputs=inputs, levels=levels)
         log.info("reference.set", source=request.source, sensors=usable, of=len(degc))
         self._deliver(reference)
         if self.latest is not None and (first := self._estimate(self.latest)) is not None:

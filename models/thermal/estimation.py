@@ -71,6 +71,8 @@ class OnlineReference:
     """What this or another model kept since, see `OnlineModel.kept`."""
     jumped_k: FloatArray | None = None
     """By how much inputs have jumped since the lags were last put right [K], in the model's order; None: none has."""
+    shift_k: FloatArray | float = 0.0
+    """What is taken off inputs that came back at another level [K]: perhaps they had only warmed by it."""
 
 
 class OnlineModel(Protocol):

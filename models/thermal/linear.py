@@ -6,7 +6,7 @@ and what sensors that returned count from, does not follow from the temperatures
 reference, and brings it back with it.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
@@ -130,7 +130,7 @@ class LinearOnline:
         if self._left_out and reference.excluded is None:
             self._state = self._now(reference.now_min, reference.degc)
         before, counted = self._state, self._reference if reference.excluded is None else None
-        readmitted_ids = self._readmit(reference.jumped_k) if reference.excluded is None else ()
+        readmitted_ids = self._readmit(reference) if reference.excluded is None else ()
         self._left_out = dict(reference.excluded or {}) if self.model.watch is None else {}
         if self.history_min <= 0.0:
             state: ModelState | None = self._estimator.begin(reference.time_min, reference.degc)
@@ -265,7 +265,7 @@ class LinearOnline:
         self._anew = set(columns)
         self._state, self._reference = resumed(self._estimator, self._state, counted, columns)
 
-    def _readmit(self, jumped_k: FloatArray | None) -> tuple[int, ...]:
+    def _readmit(self, reference: OnlineReference) -> tuple[int, ...]:
         """Let sensors that were found faulty count again from a new reference on; return their IDs.
 
         What the watch remembers begins where the others expect it, and so do lags of a sensor that is as they expect
@@ -278,11 +278,10 @@ class LinearOnline:
         watched = () if self._state.watch is None else self._state.watch.excluded
         out = sorted({*watched, *np.flatnonzero(np.isin(self.model.sensor_ids, [*self._left_out])).tolist()})
         state, sensors = readmitted(self._state, out), self.model.layout.sensors
-        jumped_k = np.zeros(sensors) if jumped_k is None else jumped_k
+        jumped_k = np.zeros(sensors) if reference.jumped_k is None else reference.jumped_k
         if here := [i for i in {*out, *np.flatnonzero(jumped_k).tolist()} if not state.missing[i]]:
             without = sorted({*here, *np.flatnonzero(state.missing).tolist()})
-            from_centre = self._estimator.features(state) - self.model.centre
-            departed_k = (from_centre - self._estimator.left_out.imputed(from_centre, without))[:sensors]
+            departed_k = _departed_k(self._estimator, state, without, reference.shift_k)
             as_expected = np.abs(departed_k) <= np.where(np.isin(np.arange(sensors), out), AGREES_K, -1.0)
             as_expected |= (jumped_k != 0.0) & (np.abs(departed_k) <= BACK_SHARE * np.abs(departed_k - jumped_k))
             lagged = np.where(as_expected, self._estimator.begun(state, here).lagged, state.lagged)
@@ -296,6 +295,18 @@ def _found_wrong(state: ModelState | None) -> list[int]:
     """Return the indices of the sensors that the watch has found wrong; one that is only missing is not."""
     faults = () if state is None or state.watch is None else state.watch.faults
     return [fault.sensor for fault in faults if fault.sign != MISSING]
+
+
+def _departed_k(
+    estimator: LinearEstimator, state: ModelState, without: Sequence[int], shift_k: FloatArray | float
+) -> FloatArray:
+    """Return how far sensors are from where all but some let them be expected, shape (n_sensors,) [K].
+
+    One that came back at another level may only have warmed by what is taken off for it: the smaller distance counts.
+    """
+    from_centre = estimator.features(state) - estimator.model.centre
+    departed_k = (from_centre - estimator.left_out.imputed(from_centre, without))[: len(state.degc)]
+    return np.where(np.abs(departed_k + shift_k) < np.abs(departed_k), departed_k + shift_k, departed_k)
 
 
 def _as_held(state: ModelState | None, reference: OnlineReference) -> ModelState | None:
