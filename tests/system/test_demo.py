@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
+from config.machines import shipped_file
 from daemon.history.reader import HistoryReader
 from daemon.monitor.control_client import ControlClient, DaemonUnreachableError
 from daemon.simulation.processes import free_port
@@ -99,6 +101,12 @@ def test_without_a_view_and_with_sensors_on_another_wire_the_result_is_told_too(
         said = demo.communicate(timeout=PATIENCE_S)[1]
     assert "seen until 1 min of the machine's time; the output is A" in said and "writes read back and equal" in said
     assert "the pages were at" not in said
+    # a commissioning tried here with a wrong reading took away the record that ships: no demo started any more
+    record = Path(
+        yaml.safe_load((tmp_path / "toolpoint.yaml").read_text("utf-8"))["compensation"]["commissioning_file"]
+    )
+    assert record.parent == tmp_path
+    assert record.read_bytes() == shipped_file("simulated_machine_commissioning.json").read_bytes()
 
 
 def test_the_spindle_speed_follows_the_pockets_over_real_wires(tmp_path: Path) -> None:
