@@ -385,8 +385,15 @@ async def test_a_client_that_takes_nothing_gets_the_newest_and_holds_up_nobody()
 
 async def test_no_answer_is_longer_than_the_client_takes(tmp_path, keys):
     async with tag_server(tmp_path, keys) as bench:
-        for most_bytes, most_chunks, count in ((6000, 0, 300), (0, 1, 1900)):
+        for most_bytes, most_chunks, of_session, count in ((6000, 0, 0, 300), (0, 1, 0, 1900), (0, 0, 6000, 300)):
             client = await bench.client("otto")
+            create = client.uaclient.create_session
+
+            def limited(asked, most=of_session, create=create):
+                asked.MaxResponseMessageSize = ua.UInt32(most)
+                return create(asked)
+
+            client.uaclient.create_session = limited
             client.max_messagesize, client.max_chunkcount = most_bytes, most_chunks
             async with client:
                 names = client.get_node(ua.ObjectIds.Server_NamespaceArray)

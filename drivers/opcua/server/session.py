@@ -90,6 +90,7 @@ class Session:
         if len(wanted.ClientNonce or b"") < NONCE:
             raise ServiceError(StatusCodes.BadNonceInvalid)
         self._token, self._nonce = TYPES.NodeId(uuid.uuid4(), 0, ua.NodeIdType.Guid), secrets.token_bytes(NONCE)
+        self._wire.most_bytes = min(self._wire.most_bytes, wanted.MaxResponseMessageSize or math.inf)
         asked_s = float(wanted.RequestedSessionTimeout) / 1000.0
         self.idle_s = min(max(asked_s, LEAST_SESSION_S), MOST_SESSION_S) if math.isfinite(asked_s) else MOST_SESSION_S
         signature = self._wire.policy.asymmetric_cryptography.signature(sent + wanted.ClientNonce)

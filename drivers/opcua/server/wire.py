@@ -102,8 +102,8 @@ class Wire:
         ]
         self._secure.set_policy_factories(factories)
         self._greeted = False
-        self._most_bytes = self._most_chunks = math.inf
-        """Of an answer, as the client's hello has it."""
+        self.most_bytes = self._most_chunks = math.inf
+        """Of an answer, as the client's hello, and later its session, has it."""
         self._keys_until_s = time.monotonic() + PART_S
         self.peer: Any = None
         """Certificate of the client, None on a channel without security."""
@@ -127,7 +127,7 @@ class Wire:
     def longest_answer(self) -> float:
         """The longest answer that the client takes [byte]."""
         in_chunk = MessageChunk.max_body_size(self.policy.symmetric_cryptography, self._limits.max_send_buffer)
-        return min(self._most_bytes, self._most_chunks * in_chunk)
+        return min(self.most_bytes, self._most_chunks * in_chunk)
 
     async def receive(self, patience_s: float) -> Message | None:
         """Return the next request, None when the client has closed the channel."""
@@ -173,7 +173,7 @@ class Wire:
         if self._greeted or min(hello.ReceiveBufferSize, hello.SendBufferSize) < LEAST_CHUNK:
             raise WireError(StatusCodes.BadConnectionRejected, "this is no hello")
         self._greeted = True
-        self._most_bytes, self._most_chunks = hello.MaxMessageSize or math.inf, hello.MaxChunkCount or math.inf
+        self.most_bytes, self._most_chunks = hello.MaxMessageSize or math.inf, hello.MaxChunkCount or math.inf
         hello.MaxMessageSize = hello.MaxChunkCount = ua.UInt32(0)  # the library would have them for requests too
         answer = self._limits.create_acknowledge_and_set_limits(hello)
         self._writer.write(uatcp_to_binary(TYPES.MessageType.Acknowledge, answer))
