@@ -64,6 +64,15 @@ def pki(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # --- mail ----------------------------------------------------------------------------------
 
 
+def test_a_mail_with_umlauts_goes_in_ascii_to_any_server() -> None:
+    with mail_server() as box:
+        message = Message(machine="Fr\u00e4se 7", time_utc_s=NOW_S, entries=MESSAGE.entries)
+        assert make_messenger(mail_sink(box.port)).send(message) == ""
+        (letter,) = box.letters
+    assert letter["Subject"].startswith("Fr\u00e4se 7: FAULT") and "Fr\u00e4se 7" in letter.get_content()
+    assert letter.as_bytes().isascii()
+
+
 @pytest.mark.filterwarnings("ignore:Requiring AUTH")
 @pytest.mark.parametrize("encryption", ["starttls", "tls"])
 def test_a_mail_arrives_over_tls_with_an_account(pki: Path, encryption: str) -> None:

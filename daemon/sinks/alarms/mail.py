@@ -6,6 +6,7 @@ import ssl
 from collections.abc import Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
+from email import policy
 from email.message import EmailMessage
 from email.utils import format_datetime
 from typing import Any, BinaryIO
@@ -19,6 +20,8 @@ from daemon.sinks.vouching import tls_context, unvouched
 
 WHOLE_TIMES = 6
 """All of it may take so many times as long as one answer."""
+SEVEN_BITS = policy.default.clone(cte_type="7bit")
+"""Letters such as umlauts are written in ASCII: a server that does not say 8BITMIME may refuse or spoil eight bits."""
 READY, GO_ON = 220, 354
 FOR_GOOD = 500
 """Answers below this may be another one later: greylisting, a full mailbox."""
@@ -51,7 +54,7 @@ class MailMessenger:
 
     def letter(self, message: Message) -> EmailMessage:
         """Return the mail; a header with an end of line in it is refused by the library."""
-        config, letter = self._config, EmailMessage()
+        config, letter = self._config, EmailMessage(SEVEN_BITS)
         letter["From"], letter["To"] = config.sender, ", ".join(config.recipients)
         letter["Subject"] = message.subject
         letter["Date"] = format_datetime(datetime.fromtimestamp(message.time_utc_s, UTC))
