@@ -299,6 +299,22 @@ def test_a_choice_is_told_as_one_pair_of_speed_and_feed(case: Path) -> None:
     assert chosen["feed_mm_min"] == pytest.approx(1400 * chosen["speed_rpm"] / 10000)
 
 
+def test_a_choice_by_the_zeroth_order_is_no_flip_chatter(tmp_path: Path) -> None:
+    """It said S20500, limiting depth 7.99 mm, where the vibration grows by a tenth from tooth to tooth."""
+    modes = "modes: [{{frequency_hz: {}, damping_ratio: 0.01, stiffness_n_per_m: 6.0e6}}]"
+    (path := tmp_path / "low.yaml").write_text(
+        "teeth: 4\ndiameter_mm: 10\nradial_depth_mm: 0.5\nmilling: down\nkt_n_per_m2: 8.0e8\nkr_ratio: 0.3\n"
+        f"x: {{{modes.format(600)}}}\ny: {{{modes.format(660)}}}\nfeed_deg: 0\n"
+    )
+    asked = ("--depth-mm", 4, "--programmed-rpm", 20500, "--max-rpm", 24000)
+    found = answer("choose", path, *asked)
+    at = [f"{share * found['speed_rpm']}:4" for share in (0.99, 1.0, 1.01)]
+    points = answer("lobes", path, "--method", "sdm", *(word for each in at for word in ("--at", each)))["points"]
+    assert all(each["stable"] for each in points)
+    compared = answer("compare", path, *asked[:4], "--from-rpm", 16400, "--to-rpm", 24000)
+    assert compared["cases"][0]["speed_rpm"] == pytest.approx(found["speed_rpm"], rel=0.02)
+
+
 def test_coefficients_from_mean_forces(case: Path) -> None:
     feeds = np.array([0.05, 0.1, 0.15, 0.2])
     depth_m, turns = 2e-3, 2 / (2.0 * math.pi)

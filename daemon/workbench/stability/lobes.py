@@ -1,6 +1,7 @@
 """Lobes of a stability case, by either method."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,8 +10,11 @@ from config.machine.stability_case import ALL_DIRECTIONS, StabilityCase
 from daemon.workbench.stability.case_files import RotatingSpindle, modal_response_of, response_of
 from models.errors import StabilityError
 from models.records import FloatArray
-from models.spindle_speed.choice import SpeedDemand, SpeedLimits, choose_speed
+from models.spindle_speed.choice import SpeedDemand, SpeedLimits, choose_speed, limiting_depth_mm
+from models.spindle_speed.planner import MillingOperation, SpeedPlanner
+from models.spindle_speed.tool_point import EstimatedToolPoint
 from models.spindle_speed.tuning import SpeedChoice
+from models.spindle_speed.verification import StabilityVerification
 from models.stability.collocation import follows, spectral_radii
 from models.stability.lobes import LobeMinimum, StabilityLobes, check_range
 from models.stability.lobes_sdm import limiting_depth, semi_discretised_lobes, semi_discretised_over_feed_directions
@@ -34,6 +38,7 @@ DRAWS = {"zoa": 60, "sdm": 20}
 TURNING_POINTS = 60
 """Speeds at which a spindle that turns is computed."""
 FEEDS_DEG = tuple(22.5 * number for number in range(8))
+UNVERIFIED = "the speed is that of the zeroth order, which knows no flip lobes, and not verified: {}; try --method sdm"
 CHOICE_POINTS = {"zoa": 601, "sdm": 121}
 """Speeds among which one is chosen."""
 
@@ -200,4 +205,48 @@ def choose_for_case(
     reach = 1.0 + demand.tolerance_fraction
     wide = LobesRequest(method=method, from_rpm=low / reach, to_rpm=high * reach, points=CHOICE_POINTS[method])
     found = find_lobes(case, wide)
-    return choose_speed(found, demand, range_rpm=(low, high)), found.warnings
+    choice, doubts = verified_choice(case, found, demand, method, (low, high))
+    return choice, (*found.warnings, *doubts)
+
+
+def verified_choice(
+    case: StabilityCase,
+    lobes: StabilityLobes,
+    demand: SpeedDemand,
+    method: str,
+    range_rpm: tuple[float, float] | None = None,
+) -> tuple[SpeedChoice, tuple[str, ...]]:
+    """Return the speed that lobes offer within a range [1/min], and what is doubtful about it.
+
+    The zeroth order knows no flip lobes, so its speeds are verified as the daemon verifies them.
+    """
+    by_lobes = choose_speed(lobes, demand, range_rpm=range_rpm)
+    if method != "zoa" or not by_lobes.stable:
+        return by_lobes, ()
+    if case.rotating:
+        return by_lobes, (UNVERIFIED.format("its dynamics change with the speed"),)
+    feeds_deg = FEEDS_DEG if case.feed_deg == ALL_DIRECTIONS else (float(case.feed_deg),)
+    operation = MillingOperation(
+        demand=demand,
+        feed_mm_min=math.nan,
+        teeth=case.teeth,
+        range_rpm=range_rpm or (float(lobes.speed_rpm[0]), float(lobes.speed_rpm[-1])),
+    )
+    planner = SpeedPlanner(operation, lambda _: lobes, StabilityVerification(case.cut(), feeds_deg))
+    try:
+        choice = planner.choice(EstimatedToolPoint(response=response_of(case), resonance_hz={}))
+    except StabilityError as error:
+        return by_lobes, (UNVERIFIED.format(error),)
+    if choice.margin_met:
+        return choice, ()
+    programmed_rpm = demand.programmed_rpm
+    alarm = (
+        f"no speed that is verified bears {demand.depth_mm:g} mm with a margin of {demand.margin_fraction:.0%}; "
+        f"{choice.speed_rpm:.0f} 1/min bears the depth alone; the programmed {programmed_rpm:g} 1/min stays: cut less "
+        "deep or widen the limits"
+    )
+    limiting_mm = limiting_depth_mm(lobes, programmed_rpm)
+    pocket_rpm = (programmed_rpm, programmed_rpm)
+    return replace(
+        choice, speed_rpm=programmed_rpm, limiting_depth_mm=limiting_mm, pocket_rpm=pocket_rpm, alarm=alarm
+    ), ()

@@ -12,11 +12,11 @@ import numpy as np
 from config.machine.stability_case import DirectionCase, StabilityCase, load_stability_case
 from daemon.workbench.stability.case_files import read_direction
 from daemon.workbench.stability.csv_rows import csv_rows, field, line_of
-from daemon.workbench.stability.lobes import LobesRequest, find_lobes
+from daemon.workbench.stability.lobes import LobesRequest, find_lobes, verified_choice
 from models.dynamics.measurement import Measurement
 from models.errors import StabilityError
 from models.records import FloatArray
-from models.spindle_speed.choice import SpeedDemand, choose_speed
+from models.spindle_speed.choice import SpeedDemand
 from models.spindle_speed.tuning import SpeedChoice
 from models.stability.cutting_coefficients import CoefficientFit, fit_mean_forces
 from models.stability.frf_modal_fit import ModalFit, fit_modes
@@ -31,8 +31,9 @@ def compare_cases(
     found = []
     for path in paths:
         try:
-            lobes = find_lobes(load_stability_case(path), request)
-            choice = None if demand is None else choose_speed(lobes, demand)
+            case = load_stability_case(path)
+            lobes = find_lobes(case, request)
+            choice = None if demand is None else verified_choice(case, lobes, demand, request.method)[0]
         except StabilityError as error:
             raise StabilityError(f"{path}: {error}") from None
         found.append((path, lobes, choice))
