@@ -44,7 +44,8 @@ class ReleaseRepository:
 
     def folders(self) -> list[Path]:
         """Return the folder of every release, the oldest first; a copy that a person has made beside them is none."""
-        return sorted(folder for folder in self.releases.glob("[0-9]*") if folder.name.isdecimal())
+        found = (folder for folder in self.releases.glob("[0-9]*") if folder.name.isdecimal())
+        return sorted(found, key=lambda folder: int(folder.name))
 
     def records(self) -> list[ReleaseRecord]:
         """Return every release that can be read, the oldest first."""

@@ -172,6 +172,17 @@ def test_a_copy_of_a_release_that_a_person_has_put_beside_it_is_none(folder):
     assert [record.number for record in shelf.records()] == [1, 2]
 
 
+def test_the_ten_thousandth_release_is_the_newest(folder):
+    """A policy comes to it in nine years."""
+    configuration = configured(folder)
+    first = release(configuration, proposal(folder, model("ridge-1")), person="anna")
+    shelf = repository_of(configuration)
+    (late := shelf.releases / "9999").mkdir()
+    (late / "release.json").write_text(first.model_copy(update={"number": 9999}).model_dump_json())
+    assert release(configuration, proposal(folder, model("ridge-2")), person="anna").number == 10_000
+    assert [record.number for record in shelf.records()] == [1, 9999, 10_000]
+
+
 def test_going_back_again_goes_further_back_and_never_to_what_was_gone_back_from(folder):
     configuration = configured(folder)
     for name in ("ridge-1", "ridge-2", "ridge-3"):
