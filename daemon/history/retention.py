@@ -129,13 +129,15 @@ def _delete(
 ) -> list[int]:
     """Delete a slice of rows or chunks; return a number for each."""
     condition = f"utc_ms < :cutoff_ms AND utc_ms < :needed_ms AND {too_old['row_id']} <= :row"
+    among = table
     if table == "chunks":
+        among = "chunks INDEXED BY chunks_by_time"  # else the content of years is read on the writing connection
         condition = (
             "kind = :kind AND start_ms < :cutoff_ms AND end_ms < :cutoff_ms AND end_ms < :needed_ms "
             "AND CASE WHEN last_row_id IS NULL THEN chunk_id <= :chunk ELSE last_row_id <= :row END"
         )
     found = connection.execute(
-        f"DELETE FROM {table} WHERE rowid IN (SELECT rowid FROM {table} WHERE {condition} LIMIT {limit}) "
+        f"DELETE FROM {table} WHERE rowid IN (SELECT rowid FROM {among} WHERE {condition} LIMIT {limit}) "
         f"RETURNING {returning}",
         too_old,
     )

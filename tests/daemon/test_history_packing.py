@@ -20,10 +20,12 @@ from daemon.backup.making import copy_store
 from daemon.history.columns.kinds import CYCLES, KINDS
 from daemon.history.columns.packed_hour import PackedHour
 from daemon.history.columns.packing import missing_extremes, pack_hours
+from daemon.history.cursors import Position
 from daemon.history.database import HistoryError, connect_reader, connect_writer
 from daemon.history.reader import HistoryReader
-from daemon.history.retention import store_hour
+from daemon.history.retention import HousekeepingReport, store_hour, tidy
 from daemon.history.writer import HistoryWriter
+from daemon.sinks.outbox import STREAMS, Outbox
 from models.records import WriteOutcome
 
 HOURS = 3
@@ -201,11 +203,14 @@ def test_what_is_asked_of_years_in_the_index_reads_not_what_they_hold(store: Pat
         )
         connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
     assert store.stat().st_size > 20e6
-    with HistoryReader(store) as reader, closing(connect_reader(store)) as packing:
+    with Outbox(store) as reader, closing(connect_reader(store)) as packing, closing(connect_writer(store)) as writing:
+        cnc, taken = STREAMS["cnc"], Position(row=reader.last_row(STREAMS["cnc"]))
         before = bytes_read()
         assert reader.extent("cnc") == (EPOCH_S - 999 * 3600.0 + 1.0, END_S - 299.0)
         assert reader.last_displacement_utc_s() == END_S - 300.0
         assert list(missing_extremes(packing)) == []
+        assert not tidy(writing, CONFIG, END_S, HousekeepingReport())
+        assert reader.waiting(cnc, taken) == (0, None) and reader.days(cnc, taken)[0] == []
         assert bytes_read() - before < 1.5e6
 
 
