@@ -26,12 +26,14 @@ LENGTHS = {"mm": "mm", "µm": "um", "μm": "um", "um": "um", "micron": "um"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FoundTag:
-    """One variable that holds a number."""
+    """One variable that holds a number, or one number of a variable that is an array."""
 
     namespace_uri: str
     node: str
     """Identifier in its namespace, as the configuration writes it."""
     name: str
+    element: int | None
+    """Place in the array; None: the variable is a number."""
     number: float
     unit: str
     """As the configuration writes it; '' where the server gives none or another."""
@@ -65,23 +67,26 @@ async def _numbers(session: TagSession, variables: Sequence[tuple[Any, str]], mo
     answers = await session.values([node for node, _ in variables])
     found: list[FoundTag] = []
     for (node, name), answer in zip(variables, answers, strict=True):
-        if len(found) == most:
+        if len(found) >= most:
             break
         if answer.StatusCode is not None and not answer.StatusCode.is_good():
             continue
-        number = number_of(None if answer.Value is None else answer.Value.Value)
-        if not isinstance(number, float) or not math.isfinite(number):
-            continue
-        given = await _unit(session, node)
-        found.append(
+        value = None if answer.Value is None else answer.Value.Value
+        each = list(enumerate(value[:most])) if isinstance(value, list) else [(None, value)]
+        numbers = [(place, number) for place, one in each if isinstance(number := number_of(one), float)]
+        given = await _unit(session, node) if numbers else ""
+        found += (
             FoundTag(
                 namespace_uri=session.namespaces[node.nodeid.NamespaceIndex],
                 node=node.nodeid.to_string().partition(";")[2] or node.nodeid.to_string(),
-                name=name,
+                name=name if place is None else f"{name}_{place}",
+                element=place,
                 number=number,
                 unit=(UNITS | LENGTHS).get(given.strip().lower(), ""),
                 given_unit=given,
             )
+            for place, number in numbers
+            if math.isfinite(number)
         )
     return found
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import math
 import socket
 import threading
 from collections.abc import Iterator, Sequence
@@ -173,6 +174,7 @@ class Gateway:
                 await tag.add_property(ua.NodeId(f"{name}.EU", index), ua.QualifiedName("EngineeringUnits", 0), about)
                 await tag.add_property(ua.NodeId(f"{name}.P", index), ua.QualifiedName("ValuePrecision", 0), 3.0)
         await folder.add_variable(ua.NodeId("Name", index), "Name", "a text")
+        await folder.add_variable(ua.NodeId("Inputs", index), "Inputs", [20.5, math.nan, 22.5])
         await server.start()
         self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
         self._ready.set()
@@ -200,7 +202,8 @@ def test_a_scan_lists_the_numbers_of_a_server_with_their_units_and_can_be_pasted
     assert found.exit_code == 0, found.output
     content = yaml.safe_load(found.stdout)
     (source,) = content["temperatures"]["sources"]
-    assert [sensor["node"] for sensor in source["opcua"]["sensors"]] == ["s=Column", "s=Count"]
+    places = [(sensor["node"], sensor.get("element")) for sensor in source["opcua"]["sensors"]]
+    assert places == [("s=Column", None), ("s=Count", None), ("s=Inputs", 0), ("s=Inputs", 2)]
     assert "# Column: 23.5 \u00b0C" in found.stdout and "# Count: 7 (no unit is given)" in found.stdout
     (gauges,) = content["displacements"]["sources"]
     assert gauges["opcua"]["channels"] == [{"name": "Gauge", "node": "s=Gauge", "unit": "mm"}]
@@ -209,7 +212,7 @@ def test_a_scan_lists_the_numbers_of_a_server_with_their_units_and_can_be_pasted
     path.write_text(yaml.safe_dump(whole), encoding="utf-8")
     read = runner.invoke(main, ["sources", "read", "--config", str(path), "--json", "-"])
     sources = json.loads(read.stdout)["sources"]
-    assert sources["opcua"]["sensors"]["401"]["degc"] == 23.5
+    assert [sources["opcua"]["sensors"][each]["degc"] for each in ("401", "404")] == [23.5, 22.5]
     assert sources["gauges"]["channels"]["Gauge"]["um"] == pytest.approx(125.0)
     nobody = runner.invoke(main, ["sources", "scan", "opcua", "127.0.0.1:1"])
     assert (

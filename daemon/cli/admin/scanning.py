@@ -189,9 +189,9 @@ def _server(place: str) -> None:
         wire = {"endpoint": endpoint, "namespace_uri": uri}
         lengths = [tag for tag in here if tag.unit in LENGTHS.values()]
         if others := [tag for tag in here if tag.unit not in LENGTHS.values()]:
-            paste("opcua", wire, [({"node": tag.node} | _unit_of(tag), _now(tag)) for tag in others])
+            paste("opcua", wire, [(_place_of(tag), _now(tag)) for tag in others])
         if lengths:
-            _paste_channels(wire, [({"name": t.name, "node": t.node} | _unit_of(t), _now(t)) for t in lengths])
+            _paste_channels(wire, [({"name": t.name} | _place_of(t), _now(t)) for t in lengths])
     if more:
         say(f"{endpoint} has more than is shown; {len(tags)} variables are")
 
@@ -208,8 +208,9 @@ async def _browsed(endpoint: str) -> "tuple[list[FoundTag], bool]":
         await session.close()
 
 
-def _unit_of(tag: "FoundTag") -> dict[str, Any]:
-    return {"unit": tag.unit} if tag.unit not in ("", "degC") else {}
+def _place_of(tag: "FoundTag") -> dict[str, Any]:
+    element = {} if tag.element is None else {"element": tag.element}
+    return {"node": tag.node} | element | ({"unit": tag.unit} if tag.unit not in ("", "degC") else {})
 
 
 def _now(tag: "FoundTag") -> str:
