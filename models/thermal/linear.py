@@ -280,11 +280,10 @@ class LinearOnline:
         state, sensors = readmitted(self._state, out), self.model.layout.sensors
         jumped_k = np.zeros(sensors) if reference.jumped_k is None else reference.jumped_k
         if here := [i for i in {*out, *np.flatnonzero(jumped_k).tolist()} if not state.missing[i]]:
-            without = sorted({*here, *np.flatnonzero(state.missing).tolist()})
-            departed_k = _departed_k(self._estimator, state, without, reference.shift_k)
+            departed_k, begun = _beside_others(self._estimator, state, here, reference.shift_k)
             as_expected = np.abs(departed_k) <= np.where(np.isin(np.arange(sensors), out), AGREES_K, -1.0)
             as_expected |= (jumped_k != 0.0) & (np.abs(departed_k) <= BACK_SHARE * np.abs(departed_k - jumped_k))
-            lagged = np.where(as_expected, self._estimator.begun(state, here).lagged, state.lagged)
+            lagged = np.where(as_expected, begun, state.lagged)
             again = [i for i in here if i in out or as_expected[i]]
             state = self._estimator.reinitialised(replace(state, lagged=lagged), again)
         self._state = state
@@ -297,16 +296,24 @@ def _found_wrong(state: ModelState | None) -> list[int]:
     return [fault.sensor for fault in faults if fault.sign != MISSING]
 
 
-def _departed_k(
-    estimator: LinearEstimator, state: ModelState, without: Sequence[int], shift_k: FloatArray | float
-) -> FloatArray:
-    """Return how far sensors are from where all but some let them be expected, shape (n_sensors,) [K].
+def _beside_others(
+    estimator: LinearEstimator, state: ModelState, sensors: Sequence[int], shift_k: FloatArray | float
+) -> tuple[FloatArray, FloatArray]:
+    """Return how far sensors are from where all others let them be expected [K], and lags begun from there [degC].
 
-    One that came back at another level may only have warmed by what is taken off for it: the smaller distance counts.
+    Result of shapes (n_sensors,) and (n_lags, n_sensors). Whoever came back at another level may only have warmed by
+    what is taken off for it, or be right again: all is looked at with that and without, and the nearer counts.
     """
-    from_centre = estimator.features(state) - estimator.model.centre
-    departed_k = (from_centre - estimator.left_out.imputed(from_centre, without))[: len(state.degc)]
-    return np.where(np.abs(departed_k + shift_k) < np.abs(departed_k), departed_k + shift_k, departed_k)
+    without = sorted({*sensors, *np.flatnonzero(state.missing).tolist()})
+    departed_k, lagged = np.full(len(state.degc), np.inf), state.lagged
+    for off_k in (0.0, shift_k) if np.any(shift_k) else (0.0,):
+        at = replace(state, degc=state.degc + off_k, lagged=state.lagged + off_k)
+        from_centre = estimator.features(at) - estimator.model.centre
+        found_k = (from_centre - estimator.left_out.imputed(from_centre, without))[: len(state.degc)]
+        nearer = np.abs(found_k) < np.abs(departed_k)
+        lagged = np.where(nearer, estimator.begun(at, sensors).lagged - off_k, lagged)
+        departed_k = np.where(nearer, found_k, departed_k)
+    return departed_k, lagged
 
 
 def _as_held(state: ModelState | None, reference: OnlineReference) -> ModelState | None:
