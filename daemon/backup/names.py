@@ -1,11 +1,14 @@
 """Names of back-ups in a folder, and which of them are a machine's."""
 
+import json
 import re
 import zlib
 from datetime import UTC, datetime
 from pathlib import Path
 
 SUFFIX = ".tar"
+HEAD_BYTES = 4096
+"""Of a back-up, in which its manifest says of which machine it is."""
 
 
 def backup_name(machine: str, now: datetime) -> str:
@@ -22,4 +25,15 @@ def _prefix(machine: str) -> str:
 def existing_backups(folder: Path, machine: str) -> list[Path]:
     """Return the machine's back-ups in a folder, the oldest first; other files there are none of them."""
     form = re.compile(re.escape(_prefix(machine)) + r"\d{8}T\d{6}Z" + re.escape(SUFFIX))
-    return sorted(path for path in folder.glob(f"*{SUFFIX}") if form.fullmatch(path.name))
+    named = (path for path in folder.glob(f"*{SUFFIX}") if form.fullmatch(path.name))
+    return sorted(path for path in named if _machine_in(path) in ("", machine))
+
+
+def _machine_in(path: Path) -> str:
+    """Return of which machine a back-up is, as DMU 50 and DMU 50+ have one name here; '' where it does not say."""
+    try:
+        with path.open("rb") as file:
+            found = re.search(rb'"machine": ("(?:[^"\\]|\\.)*")', file.read(HEAD_BYTES))
+        return "" if found is None else str(json.loads(found[1]))
+    except (OSError, ValueError):
+        return ""

@@ -13,7 +13,7 @@ import time
 import tracemalloc
 from contextlib import closing
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from hashlib import sha256
 from pathlib import Path
 from typing import BinaryIO
@@ -205,6 +205,19 @@ def test_backups_of_a_clock_that_was_ahead_make_room_for_those_of_the_right_one(
         (folder / name).touch()
         remove_old(folder, "Mill 7 (hall)", 3, spare=folder / name)
     assert sorted(path.name for path in folder.iterdir()) == right
+
+
+@pytest.mark.parametrize("other", ["mill 7 hall", "Mill 7 (hall)+", 'Mill 7 "hall"'])
+def test_machines_whose_names_differ_in_signs_keep_backups_of_their_own_in_one_folder(installation, other):
+    folder, config = installation.folder, installation.configuration
+    now = datetime.now(UTC)
+    of_other = config.model_copy(update={"machine": other})
+    own, others = folder / backup_name(config.machine, now), folder / backup_name(other, now - timedelta(seconds=60))
+    assert own.stem[:-16] == others.stem[:-16]
+    make_backup(config, installation.config_path, own)
+    make_backup(of_other, installation.config_path, others)
+    assert existing_backups(folder, config.machine) == [own] and existing_backups(folder, other) == [others]
+    assert remove_old(folder, config.machine, 1) == [] and others.exists()
 
 
 def test_machines_whose_names_have_no_latin_letter_keep_backups_of_their_own_in_one_folder(tmp_path):
