@@ -163,9 +163,11 @@ class ChainBuilder:
         before = len(self.problems)
         found = [(told.outer_mm, told.inner_mm, self.section(told, path))]
         if told.ring is not None:
-            found.append((told.ring.outer_mm, told.outer_mm, self.constants(told.ring, (*path, "ring"))))
+            ring = self.constants(told.ring, (*path, "ring"), told.ring.outer_mm, told.outer_mm)
+            found.append((told.ring.outer_mm, told.outer_mm, ring))
         if told.core is not None:
-            found.append((told.inner_mm, told.core.inner_mm, self.constants(told.core, (*path, "core"))))
+            core = self.constants(told.core, (*path, "core"), told.inner_mm, told.core.inner_mm)
+            found.append((told.inner_mm, told.core.inner_mm, core))
         if len(self.problems) > before:
             return None
         return tuple(
@@ -176,7 +178,7 @@ class ChainBuilder:
 
     def section(self, told: SegmentDescription, path: KeyPath) -> Elasticity | None:
         if told.mixture is None and told.layers is None:
-            return self.constants(told, path)
+            return self.constants(told, path, told.outer_mm, told.inner_mm)
         names = list(told.mixture or ()) or [layer.material for layer in told.layers or ()]
         keys: list[KeyPath] = [("mixture", name) for name in told.mixture or ()]
         keys = keys or [("layers", index, "material") for index in range(len(names))]
@@ -200,8 +202,8 @@ class ChainBuilder:
             return None
         return _overridden(base, told)
 
-    def constants(self, told: Constants, path: KeyPath) -> Elasticity | None:
-        """Return constants that are written out, or a material's with what overrides it."""
+    def constants(self, told: Constants, path: KeyPath, outer_mm: float, inner_mm: float) -> Elasticity | None:
+        """Return constants that are written out, or a material's in such a tube with what overrides it."""
         if told.material is None:
             assert told.E_gpa and told.G_gpa and told.nu is not None and told.density_g_cm3
             return Elasticity(
@@ -214,7 +216,7 @@ class ChainBuilder:
         if material is None:
             return None
         try:
-            base = mixed([(material, 1.0)], 1.0, 0.0, poisson=told.nu, cells=self.cells)
+            base = mixed([(material, 1.0)], outer_mm * MM, inner_mm * MM, poisson=told.nu, cells=self.cells)
         except ValueError as error:
             self.problems.append(((*path, "material"), str(error)))
             return None
