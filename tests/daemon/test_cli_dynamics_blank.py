@@ -78,6 +78,8 @@ def test_one_test_serves_every_tool(folder: Path) -> None:
     assert "em16: peak" in done.stderr
     lobes = CliRunner().invoke(main, ["stability", "lobes", str(case(folder)), "--json", "-"])
     assert lobes.exit_code == 0, lobes.output
+    above = " ".join(json.loads(call(folder, "--from-hz", 1000, "--json", "-").stdout)["warnings"])
+    assert "em16: at 1000 Hz the tip moves against the force already" in above
 
 
 def case(folder: Path) -> Path:

@@ -88,11 +88,13 @@ def blank_summary(
             f"the noise of the responses is {clean.noise:.1%} of their size: average more impacts, or move the second "
             "point further from the tip"
         )
+    found = {name: _tool(parts, held, drawn, frequency_hz) for name, parts in tools.items()}
+    warnings += [text for name, tool in found.items() if (text := _beside(name, tool, frequency_hz))]
     return {
         "frequency_hz": frequency_hz.tolist(),
         "noise": clean.noise if clean.half_width else None,
         "smoothed_over_lines": 2 * clean.half_width + 1,
-        "tools": {name: _tool(parts, held, drawn, frequency_hz) for name, parts in tools.items()},
+        "tools": found,
         "peak_mismatch": mismatch,
         "warnings": warnings,
     }
@@ -134,6 +136,21 @@ def _tool(
         "receptance_re": response.real.tolist(),
         "receptance_im": response.imag.tolist(),
     }
+
+
+def _beside(name: str, tool: dict[str, Any], frequency_hz: FloatArray) -> str:
+    """Return that a resonance of a tool lies beside the band, '' where none is seen to."""
+    if tool["receptance_re"][0] < 0.0:
+        return (
+            f"{name}: at {frequency_hz[0]:g} Hz the tip moves against the force already, so a resonance lies below; "
+            "measure from a lower frequency, or the lobes do not know it"
+        )
+    if tool["peak_hz"] in (frequency_hz[0], frequency_hz[-1]):
+        return (
+            f"{name}: the response is largest at {tool['peak_hz']:g} Hz, an end of the band, and that is no resonance; "
+            "measure over a wider band"
+        )
+    return ""
 
 
 def _peak(response: ComplexArray, frequency_hz: FloatArray) -> tuple[float, float]:

@@ -21,6 +21,8 @@ from models.records import FloatArray
 
 ISOTROPY = 0.01
 """How far G may lie beside E / (2 (1 + nu)) of a tube that counts as isotropic metal."""
+WIDE_HZ = np.geomspace(10.0, 10_000.0, 4000)
+"""Where the highest resonance is looked for beside the band [Hz]."""
 VARIED = (("E",), ("G",), ("E", "G"))
 
 
@@ -146,15 +148,33 @@ def _multiplied(told: Constants, moduli: tuple[str, ...], young: float, shear: f
     return update
 
 
+def _size(peak: dict[str, float]) -> float:
+    return peak["magnitude_m_per_n"]
+
+
 def comparison_summary(spindles: Sequence[tuple[str, Spindle]], at: str, frequency_hz: FloatArray) -> dict[str, Any]:
     """Return what `toolpoint dynamics compare` prints: the highest peak of each layout, beside the first's."""
     layouts: list[dict[str, Any]] = []
+    beside: list[str] = []
     for file, spindle in spindles:
         try:
             receptance = response(spindle, at, frequency_hz)
         except ResponseError as error:
             raise ResponseError(f"{file}: {error}") from error
         highest = int(np.argmax(np.abs(receptance)))
+        wide = peaks(WIDE_HZ, response(spindle, at, WIDE_HZ))
+        outside = [each for each in wide if not frequency_hz[0] <= each["frequency_hz"] <= frequency_hz[-1]]
+        if outside and _size(most := max(outside, key=_size)) > abs(receptance[highest]):
+            beside.append(
+                f"{file}: the highest resonance lies at {most['frequency_hz']:.0f} Hz, outside {frequency_hz[0]:g} to "
+                f"{frequency_hz[-1]:g} Hz, with {_size(most):.3g} m/N or more: what stands here is not the highest; "
+                "change --from-hz or --to-hz"
+            )
+        elif highest in (0, len(frequency_hz) - 1):
+            beside.append(
+                f"{file}: the receptance is largest at {frequency_hz[highest]:g} Hz, an end of the band, which is no "
+                "resonance; change --from-hz or --to-hz"
+            )
         layouts.append(
             {
                 "file": file,
@@ -175,6 +195,6 @@ def comparison_summary(spindles: Sequence[tuple[str, Spindle]], at: str, frequen
         "at": at,
         "from_hz": float(frequency_hz[0]),
         "to_hz": float(frequency_hz[-1]),
-        "warnings": [warning for layout in layouts for warning in layout["warnings"]],
+        "warnings": [*(warning for layout in layouts for warning in layout["warnings"]), *beside],
         "layouts": layouts,
     }
