@@ -12,10 +12,10 @@ SPEEDS_RPM = (3000.0, 5000.0, 2000.0, 4000.0, 6000.0, 2500.0)
 
 
 def machine(*, sensors_see_the_heat: bool) -> Recording:
-    """Six cycles of two hours: heat comes from the load, which the sensors see, or from the speed, which they miss."""
+    """Six cycles of 3 h: heat comes from the load, which the sensors see, or from the speed, which they miss."""
     rng = np.random.default_rng(2)
-    rpm = np.concatenate([np.r_[np.full(60, speed), np.zeros(60)] for speed in SPEEDS_RPM])
-    load = np.repeat([0.3, 1.0, 1.6, 0.5, 0.9, 1.3], 120)
+    rpm = np.concatenate([np.r_[np.full(90, speed), np.zeros(90)] for speed in SPEEDS_RPM])
+    load = np.repeat([0.3, 1.0, 1.6, 0.5, 0.9, 1.3], 180)
     time_min = np.arange(float(len(rpm)))
     heat = (rpm / 5000.0) ** 1.5 * (load if sensors_see_the_heat else 1.0)
     body = lag_table(time_min, heat[:, None], (15.0,))[0, :, 0]
