@@ -129,7 +129,7 @@ class LinearOnline:
         """Keep the states at the reference; those of one that lies back come from its history."""
         if self._left_out and reference.excluded is None:
             self._state = self._now(reference.now_min, reference.degc)
-        before, counted = self._state, self._reference if reference.excluded is None else None
+        before, left = self._state, self._reference
         readmitted_ids = self._readmit(reference) if reference.excluded is None else ()
         self._left_out = dict(reference.excluded or {}) if self.model.watch is None else {}
         if self.history_min <= 0.0:
@@ -138,6 +138,7 @@ class LinearOnline:
             state = _as_held(self._estimator.rebuild(reference.history, bridged=True), reference)
         else:
             state = self._now(reference.now_min, reference.degc)
+        counted = left if reference.excluded is None else None
         self._reference = None if state is None else state_reference(self._estimator, state, counted)
         self._reference_min, self._anew = reference.time_min, set()
         if (
@@ -153,7 +154,7 @@ class LinearOnline:
         if reference.excluded is not None and self._state is not None:
             self._state = with_faults(self.model, self._state, reference.excluded)
         if reference.kept is not None:
-            self._restore(reference.kept)
+            self._restore(reference.kept, told=left is None)
         self._wrong = set(_found_wrong(self._state))
         return readmitted_ids
 
@@ -246,8 +247,8 @@ class LinearOnline:
             return None
         return self._estimator.advance(self._state, time_min, degc, self._speed_rpm, find_faults=False, bridged=True)
 
-    def _restore(self, kept: Mapping[str, Any]) -> None:
-        """Let sensors that returned before a restart count from where they did."""
+    def _restore(self, kept: Mapping[str, Any], *, told: bool) -> None:
+        """Let sensors that had returned count from where they did; `told`: the lags of now are as the history tells."""
         own = kept["model_id"] == self.model.model_id
         if self._reference is not None and "reference_degc" not in kept:
             rest_um = np.array(kept["rest_um"]) if own else self._reference.rest_um
@@ -263,7 +264,7 @@ class LinearOnline:
             imputed_um=float(kept.get("imputed_um", 0.0)),
         )
         self._anew = set(columns)
-        self._state, self._reference = resumed(self._estimator, self._state, counted, columns)
+        self._state, self._reference = resumed(self._estimator, self._state, counted, columns, told=told)
 
     def _readmit(self, reference: OnlineReference) -> tuple[int, ...]:
         """Let sensors that were found faulty count again from a new reference on; return their IDs.

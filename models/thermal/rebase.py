@@ -122,7 +122,12 @@ def rebased(
 
 
 def resumed(
-    estimator: LinearEstimator, state: ModelState, reference: StateReference, columns: Mapping[int, Sequence[float]]
+    estimator: LinearEstimator,
+    state: ModelState,
+    reference: StateReference,
+    columns: Mapping[int, Sequence[float]],
+    *,
+    told: bool = True,
 ) -> tuple[ModelState, StateReference]:
     """Return the states and the reference after a restart, with what sensors that had returned before count from.
 
@@ -130,10 +135,10 @@ def resumed(
 
     `estimator`: of the model in use. `state`: of now, rebuilt from the history. `reference`: rebuilt from the history,
     with rest and shifts as they were kept. `columns`: by index of the sensor: its temperature [degC] at the reference,
-    and its lags in turn [degC].
+    and its lags in turn [degC]. `told`: the lags of now are as the history tells, and not as they were moved since.
     """
     watched = estimator.reinitialised(state, sorted(columns))
-    lagged = state.lagged + _faded_shift(estimator, reference, state.time_min)
+    lagged = state.lagged + _faded_shift(estimator, reference, state.time_min) * told
     then = _with_columns(reference.state, columns, state.time_min)
     return replace(watched, lagged=lagged), replace(reference, state=then)
 

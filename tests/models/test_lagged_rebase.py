@@ -1,5 +1,6 @@
 """Sensors that return to a model with lags: no step, lags that follow, and what was wrong fades."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -298,6 +299,32 @@ def test_nor_does_one_where_a_sensor_came_back_otherwise_than_was_explained(
     clean, _ = after_a_drift(watching, 0.0, **how)
     after, _ = after_a_drift(watching, 5.0, told=told, **how)
     np.testing.assert_allclose(after, clean, atol=0.1)
+
+
+def test_a_reference_that_another_one_was_refused_for_is_counted_from_as_before(model: LinearModel) -> None:
+    """What lags were moved by when a sensor returned was added once more: a random history found 1.3 um in ACTIVE."""
+    of, now, back = machine(5), REFERENCE + 60, REFERENCE + 20
+    table, rpm = of.temperatures_degc.copy(), np.zeros(MINUTES) if of.speed_rpm is None else of.speed_rpm
+    table[REFERENCE - 30 : back, 2] = np.nan
+    table[back:, 2] += 5.0
+
+    def told(until: int) -> Iterator[tuple[float, FloatArray, float]]:
+        return ((float(row), table[row], float(rpm[row])) for row in range(until + 1))
+
+    online, away = model.runtime(Machine(components={})), np.zeros(SENSORS, dtype=bool)
+    online.rebuild(told(REFERENCE))
+    first = OnlineReference(time_min=float(REFERENCE), now_min=float(REFERENCE), degc=table[REFERENCE])
+    online.set_reference(first)
+    for row in range(REFERENCE + 1, now + 1):
+        online.on_sample(float(row), table[row], float(rpm[row]))
+        before, _ = online.estimate(float(row), table[row], away)
+    kept = online.kept
+    assert kept is not None and np.abs(kept["shift_degc"]).max() > 0.5
+    online.set_reference(OnlineReference(time_min=float(now), now_min=float(now), degc=table[now]))
+    online.set_reference(replace(first, now_min=float(now), history=told(REFERENCE), excluded={}, kept=kept))
+    after, _ = online.estimate(float(now), table[now], away)
+    assert before is not None and after is not None
+    np.testing.assert_allclose(after.thermal_error_um, before.thermal_error_um, atol=1e-6)
 
 
 def test_a_healthy_sensor_that_was_blamed_goes_on_with_its_own_lags_once_the_work_is_positioned(
