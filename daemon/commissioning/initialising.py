@@ -77,5 +77,9 @@ class CommissioningRefusedError(Exception):
     """The commissioning cannot begin or go on; the text says what, why, and what the person can do."""
 
 
+class UnreadError(CommissioningRefusedError):
+    """A person has not said that the instrument shows what would prove the axis."""
+
+
 class ForeignWriterError(CommissioningRefusedError):
     """Another program writes the block: nothing more may be written, not even a retreat."""

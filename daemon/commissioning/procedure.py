@@ -13,7 +13,7 @@ from config.records.commissioning import CommissionedAxis, CommissionedSlope, Co
 from config.schema import Configuration
 from config.schema.compensation import AxisConfig
 from daemon.commissioning.dialogue import Dialogue
-from daemon.commissioning.initialising import BlockFound, CommissioningRefusedError
+from daemon.commissioning.initialising import BlockFound, CommissioningRefusedError, UnreadError
 from daemon.commissioning.judgement import DisprovedError, judge, refuse_noise
 from daemon.commissioning.movement import Movement, SafeExit, set_aside
 from daemon.commissioning.preconditions import (
@@ -125,7 +125,7 @@ class Commissioning:
     def _set_aside(self, error: BaseException) -> None:
         """Let the record of before count no more where it is disproved, or a person may have seen its axis go wrong."""
         moving = self._outcome.moving if self._plan.replaces and self._station.moved else ""
-        if isinstance(error, asyncio.CancelledError) and moving:
+        if isinstance(error, asyncio.CancelledError | UnreadError) and moving:
             error = DisprovedError("a person has broken off what was to prove it", moving)
         if told := set_aside(self._configuration.compensation.commissioning_file, error):
             self._event(told)
@@ -198,9 +198,10 @@ class Commissioning:
         self._outcome.guard_version = await self._movement.hear_guard()
         await self._start_from_zero()
         for axis in self._plan.axes:
-            self._outcome.axes[axis] = await self._prove_axis(axis)
+            proved = self._outcome.axes[axis] = await self._prove_axis(axis)
             self._outcome.moving = ""
-            self._event(f"axis {axis}: {_in_words(self._outcome.axes[axis])}")
+            self._event(f"axis {axis}: {_in_words(proved)}")
+            self._set_aside(DisprovedError("it is proved to move so now", axis, proved.measured_um / proved.written_um))
         if self._station.echo.guard_version != self._outcome.guard_version:
             raise CommissioningRefusedError(
                 f"the guard was exchanged during the commissioning: version {self._station.echo.guard_version} now, "

@@ -10,7 +10,7 @@ import numpy as np
 
 from config.schema import Configuration
 from daemon.commissioning.dialogue import Dialogue
-from daemon.commissioning.initialising import CommissioningRefusedError
+from daemon.commissioning.initialising import CommissioningRefusedError, UnreadError
 from drivers import registry
 from drivers.clock import Clock
 
@@ -173,7 +173,7 @@ class Instruments:
         if not await self._dialogue.confirm_expressly(
             f"Does the instrument along {axis} read {um:g} um {WORDS[moment]}, as --reading says?"
         ):
-            raise CommissioningRefusedError(
+            raise UnreadError(
                 f"axis {axis}: no person has confirmed {um:g} um {WORDS[moment]}, so --reading proves nothing; leave "
                 "it out and answer with what the instrument shows, or read it from a --channel"
             )
@@ -189,7 +189,7 @@ class Instruments:
         if axis == commanded:
             um = await self._dialogue.number(f"Reading along {axis}, {WORDS[moment]} [um]:")
             if um is None:
-                raise CommissioningRefusedError(
+                raise UnreadError(
                     f"axis {axis}: there is no reading {WORDS[moment]}, and without one nothing is proved; read the "
                     "instrument, or name --channel or --reading"
                 )

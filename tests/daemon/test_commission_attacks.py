@@ -13,7 +13,7 @@ from control_rig import record_for
 
 from config.records.commissioning import CommissionedAxis
 from config.records.commissioning_file import save_commissioning
-from daemon.commissioning.initialising import ForeignWriterError
+from daemon.commissioning.initialising import CommissioningRefusedError, ForeignWriterError
 from daemon.commissioning.session import Sources
 from daemon.history.database import HistoryError
 from daemon.history.layout import MachineLayout
@@ -125,28 +125,53 @@ async def test_a_record_of_before_that_the_machine_disproves_counts_no_more(benc
     assert "doubles the error" in refusal, "the same again, with the record or without"
 
 
+@pytest.mark.parametrize(("wiring", "replaces"), [(REVERSED, True), (REVERSED, False), (Wiring(), True)])
+async def test_a_record_of_before_counts_no_more_where_an_axis_is_proved_to_move_otherwise(bench, wiring, replaces):
+    """He accepts what z does now; then another axis is given up, or the new record lies beside the one of before."""
+    bench.reset(wiring)
+    record_file = bench.directory / "record.json"
+    known = CommissionedAxis(sign=1, scale=1.0, written_um=5.0, measured_um=5.0)
+    save_commissioning(record_for(bench.configuration(), axes={"z": known}), record_file)
+
+    def named(content):
+        content["compensation"]["commissioning_file"] = str(record_file)
+
+    person = Person(bench)
+    plan = {"accept_reversed": frozenset("z"), "change": named}
+    if replaces:
+        person.denies = "instrument along y in place"
+        await refused(bench, person, axes=("z", "y"), **plan)
+    else:
+        assert await bench.commission(person, axes=("z",), replaces=False, **plan) is not None
+    assert bench.at_rest()
+    assert record_file.exists() is (wiring is not REVERSED)
+    assert ("axis z, so it counts no more" in person.text_said) is (wiring is REVERSED)
+
+
 @pytest.mark.parametrize(
     ("question", "words"), [("with the offset applied", "axis z, so it counts no more"), ("before", "")]
 )
-async def test_a_record_of_before_counts_no_more_where_a_person_breaks_the_proof_off(bench, question, words):
-    """He sees the axis go the wrong way and presses Ctrl-C, before he has typed what the instrument shows."""
+@pytest.mark.parametrize("way", ["Ctrl-C", "Enter", "no"])
+async def test_a_record_of_before_counts_no_more_where_a_person_breaks_the_proof_off(bench, question, words, way):
+    """He sees the axis go the wrong way: Ctrl-C before he has typed what is read, no reading, or not the one given."""
     bench.reset(REVERSED)
     record_file = bench.directory / "record.json"
     known = CommissionedAxis(sign=1, scale=1.0, written_um=5.0, measured_um=5.0)
     save_commissioning(record_for(bench.configuration(), axes={"z": known}), record_file)
     person, number = Person(bench), Person.number
+    given = {("z", "z"): (0.0, 5.0, 0.0)} if way == "no" else {}
 
     async def breaks_off(text):
-        if question in text:
+        if question in text and way == "Ctrl-C":
             raise asyncio.CancelledError
-        return await number(person, text)
+        return None if question in text else await number(person, text)
 
     def named(content):
         content["compensation"]["commissioning_file"] = str(record_file)
 
-    person.number = breaks_off
-    with pytest.raises(asyncio.CancelledError):
-        await bench.commission(person, axes=("z",), change=named)
+    person.number, person.denies = breaks_off, question
+    with pytest.raises(asyncio.CancelledError if way == "Ctrl-C" else CommissioningRefusedError):
+        await bench.commission(person, axes=("z",), change=named, sources=Sources(given=given))
     assert bench.at_rest()
     assert record_file.exists() == (not words) and words in person.text_said
 

@@ -204,7 +204,7 @@ def commission(
         accept_scale=frozenset(accept_scale),
         positions=positions,
         guard_program_sha256=None if guard_program is None else sha256_of(read_whole(guard_program)),
-        replaces=record_path is None,
+        replaces=record_file == configuration.compensation.commissioning_file,
     )
     sources = Sources(channels=channels, given=readings, samples=samples)
     sys.exit(_commission(configuration, plan, sources, record_file, report_path, simulated_clock, consent=yes))
