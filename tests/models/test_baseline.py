@@ -363,7 +363,8 @@ class Histories(RuleBasedStateMachine):
     def confidence(self, confidence, phase):
         machine = self.machine
         weight, state, command = machine.memory.weight, machine.memory.state, machine.memory.command_um.copy()
-        same = machine.memory.reference_id == machine.state.reference_id
+        begun = machine.memory.model_id is not None  # nothing has counted since a restart: its weight is still 1
+        same = begun and machine.memory.reference_id == machine.state.reference_id
         machine.set(confidence=confidence, phase=phase)
         self.take()
         following = same and state in (OutputState.ACTIVE, OutputState.HOLD)
