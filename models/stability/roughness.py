@@ -55,7 +55,7 @@ def profile_roughness(position_mm: FloatArray, height_um: FloatArray, cutoff_mm:
 
 
 def _without_waviness(heights: FloatArray, spacing_mm: float, cutoff_mm: float) -> FloatArray:
-    half = int(cutoff_mm / spacing_mm / 2.0)
+    half = int(cutoff_mm / spacing_mm / 2.0 + 1e-6)
     if half < 1 or 4 * half > len(heights):
         raise StabilityError(
             f"a cut-off of {cutoff_mm:g} mm does not fit a profile of {len(heights) * spacing_mm:g} mm with points "
@@ -63,7 +63,7 @@ def _without_waviness(heights: FloatArray, spacing_mm: float, cutoff_mm: float) 
         )
     offsets = np.arange(-2 * half, 2 * half + 1) * spacing_mm
     weights = np.exp(-np.pi * (offsets / (GAUSSIAN * cutoff_mm)) ** 2)
-    waviness = np.convolve(heights, weights / weights.sum(), mode="same")
+    waviness = np.convolve(heights, weights / weights.sum())[2 * half : 2 * half + len(heights)]
     return (heights - waviness)[half:-half]
 
 
