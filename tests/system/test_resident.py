@@ -6,7 +6,7 @@ import sys
 
 from config.machines import shipped_file
 
-MODULES, LINES = 178, 28_220
+MODULES, LINES = 178, 28_300
 """What it is; to come down to 150 modules and 20 000 lines."""
 COUNT = """
 import json, pathlib, sys
