@@ -9,15 +9,17 @@ from collections.abc import Coroutine
 from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from config.schema import Configuration
 from daemon.cnc.audited_write import ForeignValueError
 from daemon.cnc.limits import output_limits
-from daemon.cnc.macro_block import ECHO_SLACK_UM, Echo
+from daemon.cnc.macro_block import ECHO_SLACK_UM, UNFINISHED, UNSETTLED, Echo
 from daemon.cnc.session import CncSession
 from daemon.commissioning.initialising import CommissioningRefusedError, ForeignWriterError
 from daemon.commissioning.link import CommissioningLink
 from drivers.contract import LinkError
+from drivers.guard.text import GuardStatus
 from models.control.program import power_cycled
 from models.records import CncSample, CompensationCommand, FloatArray, OutputState, Trace, WriteOutcome
 
@@ -55,6 +57,8 @@ class Station:
         """An enable bit has been written, so the machine must be left in order."""
         self.moved = False
         """The guard has applied something since this was last set back."""
+        self._echo_behind = False
+        """The echo may not say what is applied: a run of the guard was broken off, or found its memory damaged."""
 
     async def connect(self) -> None:
         """Connect anew; raises DriverError."""
@@ -132,7 +136,9 @@ class Station:
         sample = session.sample
         assert sample is not None
         self.control.history.cnc_sample(sample)
-        self.moved = self.moved or not self.applied(np.zeros(len(self.axes)))
+        status = self.echo.status
+        self._echo_behind = status in UNSETTLED and (status != GuardStatus.INCH or self._echo_behind)
+        self.moved = self.moved or status == UNFINISHED or bool(np.any(self._echoes_other_than(0.0)))
         self._refuse_state(sample)
         changed = self._ramp()
         bits = tuple(self.enable)
@@ -207,8 +213,11 @@ class Station:
                 return
 
     def applied(self, um: FloatArray) -> bool:
-        """Whether the guard says that it applies exactly this [um]."""
-        return bool(np.all(np.abs(self.echo.applied_um - um) <= ECHO_SLACK_UM))
+        """Whether the guard says that it applies exactly this [um], and no run of it was broken off after that."""
+        return not self._echo_behind and self.echo.status != UNFINISHED and not np.any(self._echoes_other_than(um))
+
+    def _echoes_other_than(self, um: FloatArray | float) -> npt.NDArray[np.bool_]:
+        return ~(np.abs(self.echo.applied_um - um) <= ECHO_SLACK_UM)
 
     def next_leg_um(self, index: int, target_um: float) -> float:
         """Return the next target of an axis: no more than the guard's step from what is applied [um]."""
@@ -225,6 +234,8 @@ class Station:
         if session is None:
             return ""
         left = []
+        if self._echo_behind:
+            left.append(f"what the guard applies is not known (status {self.echo.status})")
         echo_um = self.echo.applied_um
         for index, axis in enumerate(self.axes):
             if np.isfinite(echo_um[index]) and abs(echo_um[index]) > ECHO_SLACK_UM:

@@ -202,6 +202,32 @@ async def test_a_record_of_before_counts_on_where_the_proof_is_broken_off_before
     assert record_file.exists() is not guard_runs and ("counts no more" in person.text_said) is guard_runs
 
 
+@pytest.mark.parametrize("guard_runs_again", [True, False])
+async def test_an_echo_that_a_run_which_was_broken_off_left_behind_is_no_zero(bench, guard_runs_again):
+    """RESET in the guard's run: the axis has moved, the echo says 0; then Ctrl-C."""
+    bench.reset(program=STOPPED)
+    person = Obedient(bench) if guard_runs_again else Person(bench)
+
+    def breaks_off(text):
+        if "run once" in text and not guard_runs_again:
+            bench.call_guard()
+        if "The CNC holds z +" in text:
+            machine = bench.machine
+            run = machine.guard.at(machine.nc.macros, machine.nc.clock_at(machine.time_s))
+            run.start(machine.guard.programs.guard)
+            while not machine.guard.applied_um["z"]:
+                run.step()
+            run.reset()
+            raise asyncio.CancelledError
+
+    person.on_say = breaks_off
+    with pytest.raises(asyncio.CancelledError):
+        await bench.commission(person, axes=("z",), patience_s=30.0)
+    assert bench.at_rest() is guard_runs_again
+    assert ("Everything is back at zero." in person.text_said) is guard_runs_again
+    assert ("LEFT BEHIND: what the guard applies is not known (status 14)" in person.text_said) is not guard_runs_again
+
+
 async def test_the_record_is_written_before_a_daemon_can_start(bench):
     """One that is started again and again beside the command would begin with the record of before."""
     refusals = []
