@@ -136,7 +136,7 @@ class AuditedWriter:
             if not (problems := self.block.differences(written, found)):
                 return found, problems
             late = [each for each, value in written.items() if self.block.differences({each: value}, found)]
-            gone = any(each not in before or before[each] != found.get(each) for each in late)
+            gone = any(each in before and before[each] != found.get(each) for each in late)
             if gone or now_s() >= until_s:
                 return found, problems
             await asyncio.sleep(LATE_LOOK_S)

@@ -214,6 +214,8 @@ async def test_a_value_that_a_gateway_acknowledges_and_shows_a_moment_later_is_n
     write = MacroWrite(groups=GROUPS, expected=expected, cause="tick", trace=Trace(first_byte=now, last_byte=now))
     receipt = await writer.write(write)
     assert (receipt.outcome, receipt.detail) == (WriteOutcome.VERIFIED, "")
+    unseen = replace(write, groups=tuple(tuple((n, v + 1.0) for n, v in group) for group in GROUPS), expected={})
+    assert (await writer.write(unseen)).outcome is WriteOutcome.VERIFIED, "as the first temperature after a start"
     nc.macros.values[503] = 0.5
     with pytest.raises(ForeignValueError, match=r"#503 holds 0\.5"):
         await writer.write(replace(write, expected=expected | {503: (0.0105,)}))
