@@ -1,7 +1,7 @@
 """A control behind an MTConnect agent: its state is read, nothing is ever written.
 
 Each read asks for every observation since the last one, by the agent's sequence; where some are forgotten, for the
-present state; another instance of the agent is a lost link.
+present state; another instance of the agent, or devices that it has changed, are a lost link.
 """
 
 import asyncio
@@ -105,7 +105,7 @@ class MtconnectCnc(LinkedCnc[AgentLink]):
         self._agent = config.connection_as(MtconnectConfig)
         super().__init__(config, clock, self._agent.address)
         self._device: Device | None = None
-        self._instance = ""
+        self._instance = self._changed = ""
         self._next = 0
 
     @property
@@ -129,6 +129,7 @@ class MtconnectCnc(LinkedCnc[AgentLink]):
         self._device = device
         self.identity = SIMULATED_CNC_IDENTITY if device.uuid == SIMULATED_UUID else f"mtconnect:{device.uuid}"
         self._instance = _header(root).get("instanceId", "")
+        self._changed = _header(root).get("deviceModelChangeTime", "")
         await self._read_current(device)
 
     async def _probe(self) -> Element:
@@ -193,6 +194,8 @@ class MtconnectCnc(LinkedCnc[AgentLink]):
         header = _header(root)
         if header.get("instanceId", "") != self._instance:
             self._lose(f"{self._name}: the agent was started anew; what it told before counts no longer")
+        if self._changed and header.get("deviceModelChangeTime", self._changed) != self._changed:
+            self._lose(f"{self._name}: the agent's devices were changed; their data items may be others now")
         self._next = _number(header, "nextSequence")
         return header
 

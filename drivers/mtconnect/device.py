@@ -166,14 +166,16 @@ class Device:
     # --- observations --------------------------------------------------------------------
 
     def observe(self, streams: Element, *, anew: bool) -> None:
-        """Take the observations of an answer in their order; `anew`: nothing else is true any more."""
+        """Take the observations of an answer in their order; `anew`: nothing else is true any more. Raises XmlError."""
         if anew:
             self.values.clear()
             self.faults.clear()
         for stream in streams.below("DeviceStream"):
-            if stream.attributes.get("uuid", self.uuid) == self.uuid:
+            if (uuid := stream.attributes.get("uuid", self.uuid)) == self.uuid:
                 for component in stream.below("ComponentStream"):
                     self._take(component)
+            elif stream.attributes.get("name") == self.name:
+                raise XmlError(f"its device {self.name} has the uuid {uuid} now, and no longer {self.uuid}")
 
     def _take(self, component: Element) -> None:
         for part in component.children:

@@ -101,6 +101,39 @@ async def test_what_the_agent_has_forgotten_is_read_anew_and_another_instance_is
     await cnc.close()
 
 
+UUID, SENDER, CHANGED = 'uuid="toolpoint-simulated"', ' sender="', " deviceModelChangeTime="
+
+
+@pytest.mark.wires
+@pytest.mark.parametrize(
+    ("own", "told", "later", "words"),
+    [
+        (UUID, UUID, 'uuid="serial-4711"', "has the uuid serial-4711 now"),
+        (SENDER, SENDER, f'{CHANGED}"2026-11-22T00:00:01Z"{SENDER}', None),
+        (
+            SENDER,
+            f'{CHANGED}"2026-11-22T00:00:01Z"{SENDER}',
+            f'{CHANGED}"2026-11-22T00:00:02Z"{SENDER}',
+            "devices were changed",
+        ),
+    ],
+    ids=["an adapter's * uuid", "told in some answers", "another device file"],
+)
+async def test_a_device_that_changes_while_the_agent_runs_is_another_link(bench, own, told, later, words):
+    """Its observations counted for no device, and the state stayed what it was, of an agent that lives."""
+    made, present = bench.agent._answer, told
+    bench.agent._answer = lambda target: made(target).replace(own, present)
+    cnc = bench.open()
+    await cnc.connect()
+    present, bench.nc.run = later, 0
+    if words is None:
+        assert (await cnc.read([])).run is CncRun.RESET
+    else:
+        with pytest.raises(LinkError, match=words):
+            await cnc.read([])
+    await cnc.close()
+
+
 @pytest.mark.wires
 async def test_an_agent_of_a_whole_plant_is_asked_for_its_device_alone():
     """Sixty machines with some hundred data items each: all of them are more than is read."""
