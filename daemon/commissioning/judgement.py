@@ -1,7 +1,7 @@
 """Judges readings: whether they prove axis, sign and scale."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from config.records.commissioning import PROOF_TOLERANCE, AxisReadings, CommissionedAxis
 from daemon.commissioning.initialising import CommissioningRefusedError
@@ -33,10 +33,10 @@ Taken = Mapping[Moment, Mapping[str, Reading]]
 class DisprovedError(CommissioningRefusedError):
     """An axis does not move as it is told to; what a record of before says of it may be wrong now."""
 
-    def __init__(self, text: str, axis: str, ratio: float = math.nan) -> None:
+    def __init__(self, text: str, axis: str, ratio: float = math.nan, also_moved: Iterable[str] = ()) -> None:
         """`ratio` of the movement to what was written; NaN where it is not known, or axes are mixed up."""
         super().__init__(text)
-        self.axis, self.ratio = axis, ratio
+        self.axis, self.ratio, self.also_moved = axis, ratio, tuple(also_moved)
 
 
 def judge(
@@ -136,12 +136,14 @@ def _refuse_wrong_axis(axis: str, written_um: float, moved_um: float, others_um:
             f"axis {axis}: {written_um:g} um were commanded and applied by the guard's own account, and the instrument "
             f"moved by {moved_um:.2f} um{instead}. Nothing is proved: {advice}",
             axis,
+            also_moved=moved,
         )
     if moved:
         raise DisprovedError(
             f"axis {axis}: it moved by {moved_um:.2f} um, but {words} moved as well, and must not. Check that the "
             "guard adds each value to one axis only, and that the instruments stand square to the axes",
             axis,
+            also_moved=moved,
         )
 
 

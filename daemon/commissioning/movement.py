@@ -178,11 +178,14 @@ def set_aside(record_file: Path | None, error: BaseException) -> str:
         record = load_commissioning(record_file)
     except CommissioningError:
         return ""
-    known = record.axes.get(error.axis)
-    if known is None or abs(error.ratio / (known.sign * known.scale) - 1.0) <= PROOF_TOLERANCE:
+    axis = next((each for each in (error.axis, *error.also_moved) if each in record.axes), None)
+    if axis is None:
+        return ""
+    known = record.axes[axis]
+    if axis == error.axis and abs(error.ratio / (known.sign * known.scale) - 1.0) <= PROOF_TOLERANCE:
         return ""
     aside = record_file.with_name(record_file.name + DISPROVED)
-    what = f"The record of {record.date} is in doubt for axis {error.axis}"
+    what = f"The record of {record.date} is in doubt for axis {axis}"
     try:
         record_file.replace(aside)
     except OSError as problem:

@@ -125,6 +125,21 @@ async def test_a_record_of_before_that_the_machine_disproves_counts_no_more(benc
     assert "doubles the error" in refusal, "the same again, with the record or without"
 
 
+async def test_a_record_of_before_counts_no_more_where_another_axis_moves_the_one_it_is_of(bench):
+    """What is written for y moves z, so what is written for z moves something else."""
+    bench.reset(SWAPPED)
+    record_file = bench.directory / "record.json"
+    known = CommissionedAxis(sign=1, scale=1.0, written_um=5.0, measured_um=5.0)
+    save_commissioning(record_for(bench.configuration(), axes={"z": known}), record_file)
+
+    def named(content):
+        content["compensation"]["commissioning_file"] = str(record_file)
+
+    person = Person(bench)
+    assert "axis z by 5.00 um instead" in await refused(bench, person, axes=("y",), change=named)
+    assert not record_file.exists() and "in doubt for axis z, so it counts no more" in person.text_said
+
+
 @pytest.mark.parametrize(("wiring", "replaces"), [(REVERSED, True), (REVERSED, False), (Wiring(), True)])
 async def test_a_record_of_before_counts_no_more_where_an_axis_is_proved_to_move_otherwise(bench, wiring, replaces):
     """He accepts what z does now; then another axis is given up, or the new record lies beside the one of before."""
