@@ -20,6 +20,7 @@ from typing import BinaryIO
 
 import pytest
 import yaml
+from click.testing import CliRunner
 from control_rig import record_for
 from installation import Installation
 from speed_machine import bearing_model, speed_machine
@@ -35,6 +36,7 @@ from daemon.backup.manifest import BackupError, last_block_beside
 from daemon.backup.names import backup_name, existing_backups
 from daemon.backup.places import Places
 from daemon.backup.restoring import read_manifest, restore
+from daemon.cli import main
 from daemon.history.database import HistoryError
 from daemon.history.reader import HistoryReader
 from daemon.model_release.bearings import BEARINGS, open_planning
@@ -363,8 +365,14 @@ def test_a_case_goes_to_no_place_that_an_archive_alone_names_and_nothing_else_go
     path, target = installation.backup(), elsewhere(installation)
     given = Places.of(load_configuration(target))
     target.unlink()
-    done = restore(path, target, person="anna", replace=False, given=given)
-    assert done.unplaced == (f"{named}: in the back-up as planning/0/case.yaml; put it there by hand",)
+    options = {"--store": given.store, "--commissioning-file": given.commissioning_file}
+    options |= {"--model-file": given.model_file, "--bearings-file": given.bearings_file, "--config": target}
+    named_places = [str(word) for option in options.items() if option[1] is not None for word in option]
+    done = CliRunner().invoke(main, ["restore", str(path), "--json", "-", *named_places])
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    assert f"{named}: in the back-up as planning/0/case.yaml; put it there by hand" in told["not_here"]
+    assert told["left"] == [] and str(given.store) in told["placed"]
     assert not (target.parent / "../other/case.yaml").exists() and target.read_text(encoding="utf-8") == text
     assert load_commissioning(target.with_name("commissioning.json")).person
 

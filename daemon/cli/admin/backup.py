@@ -151,7 +151,9 @@ def restore(
         say(f"kept     {path}")
     for path in done.left:
         say(f"left     {path}: the machine was commissioned since the back-up; move it away to restore that of then")
-    for each in (*done.manifest.left_out, *done.unplaced):
+    not_here = [*done.manifest.left_out, *done.unplaced]
+    for each in not_here:
         say(f"not here {printable(each)}")
     say("put passwords and keys back, start the daemon, compare the macros, then `toolpoint acknowledge`")
-    write_json(json_path, {"placed": [str(path) for path in done.placed], "kept": [str(path) for path in done.kept]})
+    paths = {name: [str(path) for path in getattr(done, name)] for name in ("placed", "kept", "left")}
+    write_json(json_path, paths | {"not_here": not_here})
