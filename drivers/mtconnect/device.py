@@ -36,6 +36,9 @@ MODES = {
 BLOCK_NUMBER = re.compile(r"^\s*/?\s*N(\d{1,8})", re.IGNORECASE)
 PROGRAM_NUMBER = re.compile(r"^O?0*(\d{1,8})(\.\w{1,4})?$", re.IGNORECASE)
 WORK_OFFSET = re.compile(r"^G?(\d{1,6})(?:\.1\s*P(\d{1,3}))?$", re.IGNORECASE)
+PLAIN = ("", "EVENT", "SAMPLE", "VALUE", "DISCRETE")
+"""Categories and representations of what is observed as it is."""
+ACTUAL_POSITIONS = ("", "ACTUAL", "COMMANDED")
 SPEEDS = ("ROTARY_VELOCITY", "SPINDLE_SPEED")
 ITEMS: dict[str, tuple[tuple[str, str], ...]] = {
     "execution": (("EXECUTION", ""),),
@@ -46,7 +49,6 @@ ITEMS: dict[str, tuple[tuple[str, str], ...]] = {
     Capability.SPINDLE_SPEED: tuple((kind, subtype) for subtype in ("ACTUAL", "") for kind in SPEEDS),
     Capability.WORK_OFFSET: (("WORK_OFFSET", ""),),
     Capability.TOOL_NUMBER: (("TOOL_NUMBER", ""), ("TOOL_ID", "")),
-    "emergency_stop": (("EMERGENCY_STOP", ""),),
 }
 """What the daemon knows -> types and subtypes of data items that tell it, the best first; '' is none: what is
 commanded, overridden or scheduled is not what is."""
@@ -67,6 +69,7 @@ class DataItem:
     item_id: str
     name: str
     kind: str
+    """Its type; further words where it tells no present value: a statistic, a condition, a series or a table."""
     subtype: str
     unit: str = ""
     coordinates: str = ""
@@ -102,6 +105,7 @@ class Device:
         if self._chosen["execution"] is None:
             sentence = "nothing says whether a program runs; choose another device (cnc.mtconnect.device)"
             raise FatalDriverError(f"the agent's device {self.name} has no data item of type EXECUTION: {sentence}")
+        self._emergency_stops = [item.item_id for item in self.items if item.kind == "EMERGENCY_STOP"]
         self._known = {item.item_id for item in self.items}
         self.cannot |= {Capability.CLOCK: NOT_TOLD, Capability.POWER_ON_COUNT: NOT_TOLD}
         for role in (Capability.PROGRAM, Capability.SPINDLE_SPEED, Capability.WORK_OFFSET, Capability.TOOL_NUMBER):
@@ -124,7 +128,7 @@ class Device:
             found = self._named(item)
             if found.unit != "MILLIMETER":
                 why = f"data item {item} of {axis.axis} is in {found.unit or 'no unit'}, not in MILLIMETER"
-            elif found.coordinates == "WORK" or found.subtype == "PROGRAMMED":
+            elif found.coordinates == "WORK" or found.subtype not in ACTUAL_POSITIONS:
                 why = f"data item {item} of {axis.axis} is no actual position in coordinateSystem MACHINE"
             else:
                 self._chosen[f"position {name}"] = found.item_id
@@ -221,8 +225,8 @@ class Device:
 
     @property
     def alarm(self) -> bool:
-        """A condition is a fault, or the emergency stop is pressed."""
-        return any(self.faults.values()) or self._text("emergency_stop") == "TRIGGERED"
+        """A condition is a fault, or an emergency stop is pressed."""
+        return any(self.faults.values()) or any(self.values.get(item) == "TRIGGERED" for item in self._emergency_stops)
 
     @property
     def program(self) -> int:
@@ -268,10 +272,11 @@ class Device:
 def data_items(device: Element) -> Iterator[DataItem]:
     for item in device.below("DataItem"):
         found = item.attributes
+        further = [found.get(key, "") for key in ("category", "statistic", "representation")]
         yield DataItem(
             item_id=found.get("id", ""),
             name=found.get("name", ""),
-            kind=found.get("type", ""),
+            kind=" ".join([found.get("type", ""), *(word for word in further if word not in PLAIN)]),
             subtype=found.get("subType", ""),
             unit=found.get("units", ""),
             coordinates=found.get("coordinateSystem", ""),

@@ -101,6 +101,8 @@ def test_linuxcnc_counts_in_the_units_of_its_machine() -> None:
             DataItem(item_id="z", name="", kind="POSITION", subtype="PROGRAMMED", unit="MILLIMETER"),
             "no actual position",
         ),
+        (DataItem(item_id="z", name="", kind="POSITION", subtype="TARGET", unit="MILLIMETER"), "no actual position"),
+        (DataItem(item_id="z", name="", kind="POSITION", subtype="PROBE", unit="MILLIMETER"), "no actual position"),
         (None, "cnc.mtconnect.position_items"),
     ],
 )

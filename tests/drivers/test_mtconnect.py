@@ -17,7 +17,7 @@ from daemon.cnc.interlocks import Interlocks
 from drivers.clock import SystemClock
 from drivers.contract import Capability, LinkError, NotSentError
 from drivers.mtconnect.cnc import MtconnectCnc, fetch
-from drivers.mtconnect.device import MOST_FAULTS, DataItem, Device
+from drivers.mtconnect.device import MOST_FAULTS, DataItem, Device, data_items
 from drivers.mtconnect.xml import DEEPEST, LONGEST_DOCUMENT, XmlError, parsed
 from drivers.sim.wires.mtconnect_agent import BUFFER, SimulatedMtconnectAgent
 from models.records import CncMode, CncRun
@@ -279,6 +279,28 @@ def test_the_speed_is_the_spindle_s_actual_one_or_none_with_the_reason(items, na
     told = device.number(Capability.SPINDLE_SPEED)
     assert told == 4711.0 if chosen else math.isnan(told)
     assert re.search(why, device.cannot[Capability.SPINDLE_SPEED]) if why else "spindle_speed" not in device.cannot
+
+
+def test_an_average_a_condition_and_a_series_are_no_present_speed_and_every_emergency_stop_counts():
+    text = """<D><DataItem id="mean" category="SAMPLE" type="ROTARY_VELOCITY" subType="ACTUAL" statistic="AVERAGE"/>
+    <DataItem id="series" category="SAMPLE" type="ROTARY_VELOCITY" subType="ACTUAL" representation="TIME_SERIES"/>
+    <DataItem id="state" category="CONDITION" type="ROTARY_VELOCITY" subType="ACTUAL"/>%s
+    <DataItem id="run" category="EVENT" type="EXECUTION" representation="VALUE"/>
+    <DataItem id="door" category="EVENT" type="EMERGENCY_STOP"/>
+    <DataItem id="panel" category="EVENT" type="EMERGENCY_STOP"/></D>"""
+    real = '<DataItem id="speed" category="SAMPLE" type="ROTARY_VELOCITY" subType="ACTUAL" representation="VALUE"/>'
+    values = {"mean": "4000", "series": "1 2", "speed": "5000", "run": "ACTIVE", "door": "ARMED", "panel": "TRIGGERED"}
+
+    def device(item, named=None):
+        items = tuple(data_items(asyncio.run(parsed((text % item).encode()))))
+        return Device(name="x", uuid="y", items=items, spindle_item=named, values=dict(values))
+
+    assert device(real).number(Capability.SPINDLE_SPEED) == 5000.0
+    assert math.isnan(device("").number(Capability.SPINDLE_SPEED)) and "spindle_speed" in device("").cannot
+    assert device("", "mean").number(Capability.SPINDLE_SPEED) == 4000.0, "who names it has it"
+    assert device(real).run is CncRun.START and device(real).alarm
+    values["panel"] = "ARMED"
+    assert not device(real).alarm
 
 
 def test_of_two_faults_one_ends_and_the_other_stays():
