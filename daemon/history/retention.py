@@ -88,12 +88,15 @@ def tidy(
     """Remove one slice of what is too old, or give back one slice of free pages; True while there is more.
 
     `held`: what the sinks have taken. What they have not stays longer by `keep_for_sinks_days`; the oldest goes first.
+    What was written after something that stays, stays too: the clock was behind then.
     """
     for table, kind, keep_days in retention(config):
         cutoff_ms = int(now_utc_s * 1e3 - keep_days * DAY_MS)
         stream = kind or ("references" if table == "reference_points" else table)
         late_ms = cutoff_ms - int(config.keep_for_sinks_days * DAY_MS)
+        staying = _first_that_stays(connection, table, kind, cutoff_ms, int(now_utc_s * 1e3))
         for too_old, untaken in _too_old(table, None if held is None else held.get(stream), cutoff_ms, late_ms):
+            too_old["row"] = min(too_old["row"], staying)
             rows = _delete(connection, table, too_old, SLICE_ROWS, "1")
             chunks = _delete(connection, "chunks", too_old | {"kind": kind}, SLICE_CHUNKS, "row_count")
             if untaken and rows + chunks:
@@ -109,12 +112,27 @@ def tidy(
     return _vacuum(connection)
 
 
+def _first_that_stays(connection: sqlite3.Connection, table: str, kind: str, cutoff_ms: int, now_ms: int) -> int:
+    """Return the number of the oldest row, or of the last of the oldest chunk of a line, that is not too old."""
+    (number,) = connection.execute(
+        "SELECT coalesce((SELECT min(last_row_id) FROM chunks WHERE chunk_id IN (SELECT (SELECT chunk_id FROM chunks "
+        "WHERE kind = :kind AND layout_id = of.layout_id AND start_ms BETWEEN :cutoff AND :now ORDER BY start_ms "
+        "LIMIT 1) FROM (SELECT layout_id FROM layouts UNION SELECT 0) AS of)), "
+        f"(SELECT {_row_id(table)} FROM {table} WHERE utc_ms BETWEEN :cutoff AND :now ORDER BY utc_ms LIMIT 1))",
+        {"kind": kind, "cutoff": cutoff_ms, "now": now_ms},
+    ).fetchone()
+    return 2**62 if number is None else int(number)
+
+
+def _row_id(table: str) -> str:
+    return "write_id" if table == WRITES.table else "id"
+
+
 def _too_old(
     table: str, held: "Position | None", cutoff_ms: int, late_ms: int
 ) -> Iterator[tuple[dict[str, Any], bool]]:
     """Yield what may go, the values of `_delete`, and whether a sink has not taken it."""
-    row_id = "write_id" if table == WRITES.table else "id"
-    everything = {"row": 2**62, "chunk": 2**62, "needed_ms": 2**62, "row_id": row_id}
+    everything = {"row": 2**62, "chunk": 2**62, "needed_ms": 2**62, "row_id": _row_id(table)}
     if held is None:
         yield everything | {"cutoff_ms": cutoff_ms}, False
         return

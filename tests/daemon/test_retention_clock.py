@@ -130,3 +130,28 @@ async def test_probes_stay_as_long_as_the_audit_and_no_longer(tmp_path: Path) ->
         await writer.request_housekeeping(CONFIG.model_copy(update={"keep_writes_days": 10.0}))
         with HistoryReader(tmp_path / "h.sqlite") as reader:
             assert [probe.time.utc_s for probe in reader.probes(0.0, 1e11)] == [EPOCH_S + 15.0 * DAY_S]
+
+
+async def test_what_was_written_while_the_clock_was_decades_behind_stays_as_long_as_what_was_written_before_it(
+    tmp_path: Path,
+) -> None:
+    """A clock without its battery begins in 1970, and is set right a minute later."""
+    store, behind_s, right_s = tmp_path / "h.sqlite", 5 * DAY_S, EPOCH_S + 40 * DAY_S
+    with writing(store) as writer:
+        record(writer, EPOCH_S, 40 * 24)
+        writer.event("state", "before", "anna")
+        await writer.flushed()
+        writer._clock.utc_s = behind_s
+        record(writer, behind_s, 3)
+        writer.event("state", "acknowledged", "anna")
+        writer._clock.utc_s = right_s
+        record(writer, right_s, 3)
+        await writer.flushed()
+        await writer.request_housekeeping(CONFIG)
+        assert cycles_before(store, EPOCH_S) == 3 and cycles_before(store, right_s) == 3 + 10 * 24 - 3
+        with HistoryReader(store) as reader:
+            assert "acknowledged" in [event.text for event in reader.events(0.0, EPOCH_S)]
+        record(writer, right_s + 3 * HOUR_S, 11 * 24)
+        await writer.flushed()
+        await writer.request_housekeeping(CONFIG.model_copy(update={"keep_writes_days": 10.0}))
+        assert cycles_before(store, EPOCH_S) == 0, "what was written before them is too old, and so are they"
