@@ -22,7 +22,7 @@ DECIMALS = 6
 """A control says values with so many."""
 LARGEST_VALUE = 1e12
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)")
-_FRAME = "\x02\x17> \t\r"
+_FRAME = "> \t\r"
 _UNKNOWN = "UNKNOWN"
 
 
@@ -70,7 +70,7 @@ class Unknown:
 
 
 class LineBuffer:
-    """Cuts a stream of bytes into lines without their frame; holds at most one unfinished line."""
+    """Cuts a stream of bytes into lines without their frame and what is around it; holds one unfinished line."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()
@@ -79,7 +79,8 @@ class LineBuffer:
         """Yield every line that these bytes complete, empty ones left out; raises HaasFormatError."""
         self._bytes += data
         while (end := self._bytes.find(b"\n")) >= 0:
-            line = self._bytes[:end].decode("ascii", "replace").strip(_FRAME)
+            line = self._bytes[:end].decode("ascii", "replace")
+            line = line.rpartition("\x02")[2].partition("\x17")[0].strip(_FRAME)
             if end > LONGEST_LINE:
                 raise HaasFormatError(f"a line of {end} characters")
             del self._bytes[: end + 1]

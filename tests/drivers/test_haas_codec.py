@@ -18,6 +18,8 @@ from drivers.haas.codec import (
 
 FRAMED = b"\x02MACRO, 801, 333.339996\x17\r\n>\x02SERIAL NUMBER, 3093228\x17\r\n>"
 PROMPTED = b">MACRO, 801, 333.339996\r\n>SERIAL NUMBER, 3093228\r\n"
+SERIAL = b"\xff\xfd\x01?Q600 801\r\x02MACRO, 801, 333.339996\x17\0\r\n>\0\x11\x02SERIAL NUMBER, 3093228\x17\x13\r\n>"
+"""Through a server for serial ports: its own negotiation, an echo, filling and flow control around what is framed."""
 
 
 def read(line: str) -> Answer:
@@ -26,7 +28,7 @@ def read(line: str) -> Answer:
     return answer
 
 
-@pytest.mark.parametrize("stream", [FRAMED, PROMPTED])
+@pytest.mark.parametrize("stream", [FRAMED, PROMPTED, SERIAL])
 @given(sizes=st.lists(st.integers(1, 20), max_size=10))
 def test_a_stream_is_cut_into_its_lines_wherever_it_breaks(stream: bytes, sizes: list[int]) -> None:
     buffer, place = LineBuffer(), 0
