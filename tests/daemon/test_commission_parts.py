@@ -271,6 +271,7 @@ def test_check_says_what_a_record_does_not_cover(tmp_path):
         (["--reading", "z=1,nan,2", "--record", "R"], 2, "finite"),
         (["--channel", "z", "--record", "R"], 2, "AXIS="),
         (["--channel", "z=A", "--channel", "z=B", "--record", "R"], 2, "twice"),
+        (["--channel", "z=Y1", "--record", "R"], 2, "Y1 is the thermal error of axis y"),
         ([], 2, "no place for the record"),
         (["--reading", "z=0,5,0", "--yes", "--record", "R"], 2, "--yes does not cover --reading"),
         (["--record", "nowhere/record.json", "--yes", "--person", "A"], 1, "there is no folder"),

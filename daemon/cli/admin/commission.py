@@ -180,6 +180,7 @@ def commission(
     named = {*axes, *channels, *accept_reversed, *accept_scale, *(axis for pair in readings for axis in pair)}
     if unknown := sorted(named - set(known)):
         refuse(f"there is no axis {', '.join(unknown)}; axes are {', '.join(known)}")
+    _refuse_channels_of_others(configuration, channels)
     if yes and readings:
         refuse(
             "--yes does not cover --reading: what the instrument shows can only be confirmed once the axis has moved. "
@@ -208,6 +209,19 @@ def commission(
     )
     sources = Sources(channels=channels, given=readings, samples=samples)
     sys.exit(_commission(configuration, plan, sources, record_file, report_path, simulated_clock, consent=yes))
+
+
+def _refuse_channels_of_others(configuration: "Configuration", channels: dict[str, str]) -> None:
+    """Where two axes are swapped, the other axis' channel would prove the movement of the wrong one."""
+    axes, slopes = configuration.compensation.axes, configuration.compensation.slopes
+    for axis, channel in channels.items():
+        measured = [name for name, each in axes.items() if each.estimate == channel]
+        if measured and not {axis, slopes[axis].of if axis in slopes else axis} & set(measured):
+            refuse(
+                f"--channel {axis}={channel}: {channel} is the thermal error of axis {measured[0]} "
+                f"(compensation.axes.{measured[0]}.estimate), so it cannot prove that {axis} moves; "
+                f"name a channel along {axis}"
+            )
 
 
 def _refuse_of_slopes(
