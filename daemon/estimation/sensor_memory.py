@@ -1,7 +1,7 @@
 """Keeps which sensors are missing, excluded or at another level, and what they count from, also over a restart."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -211,6 +211,10 @@ class SinceReference:
         self._told = sensors
         return sensors
 
+    def tell(self, deliver: Callable[[SensorsSinceReference], None]) -> None:
+        if (sensors := self.changed()) is not None:
+            deliver(sensors)
+
     def _ids(self, places: Places) -> tuple[int, ...]:
         return tuple(self._sensor_ids[place] for place in places)
 
@@ -243,13 +247,20 @@ class LevelMemory:
         """Indices of sensors that read something else than in the previous run: what it knew of them is of another."""
         self._clock = clock
         self._kept = first_levels(len(self._sensor_ids))
+        self._excluded: dict[int, str] = {}
         self._kept_to_utc_s = self._clock.now().utc_ahead_s
         self.units = self._store.get(InOtherUnit) or InOtherUnit(units={}, degc={})
         self.inputs = self._store.get(InputsRead) or InputsRead(inputs={})
         """Which inputs say another unit, and what inputs say: of the previous run until another is kept."""
 
-    def keep(self, levels: SensorLevels, in_other_unit: InOtherUnit, inputs: InputsRead | None = None) -> None:
-        """Store the levels, which inputs say another unit, and what inputs say, unless that is what is stored."""
+    def keep(
+        self,
+        levels: SensorLevels,
+        excluded: Mapping[int, str],
+        in_other_unit: InOtherUnit,
+        inputs: InputsRead | None = None,
+    ) -> None:
+        """Store the levels, what was found wrong, which inputs say another unit, what inputs say, if it is other."""
         if in_other_unit is not self.units:
             self.units = in_other_unit
             self._store.put(in_other_unit)
@@ -265,17 +276,21 @@ class LevelMemory:
             levels.shift_k is before.shift_k,
             levels.gaps is before.gaps,
             dict(levels.away_s) == dict(before.away_s),
+            self._excluded == excluded,
             abs(self._kept_to_utc_s - to_utc_s) < 1.0,  # what is stored has its times by the calendar
         )
         if not all(same):
-            self._kept_to_utc_s = to_utc_s
+            self._kept_to_utc_s, self._excluded = to_utc_s, dict(excluded)
             self._store.put(self._document(levels))
 
     def excluded_before(self) -> dict[int, str]:
-        """Return what had been found wrong when the previous run ended; it holds until a reference says otherwise."""
-        kept = self._store.get(ReferenceDocument)
+        """Return what had been found wrong when the previous run ended; it holds until a reference says otherwise.
+
+        The levels hold it too: a reference that has ended for good, or was not taken up, leaves no record.
+        """
+        kept, levels = self._store.get(ReferenceDocument), self._store.get(SensorLevelsDocument)
         sensors = None if kept is None or kept.record is None else kept.record.sensors
-        return {} if sensors is None else dict(sensors.excluded)
+        return ({} if levels is None else dict(levels.excluded)) | ({} if sensors is None else dict(sensors.excluded))
 
     def restored(self) -> SensorLevels:
         """Return the levels of the previous run, without those of sensors that read something else now."""
@@ -322,6 +337,7 @@ class LevelMemory:
         return SensorLevelsDocument(
             sensor_ids=self._sensor_ids,
             reads=self._reads,
+            excluded=self._excluded,
             shift_k=self._by_id(levels.shift_k),
             uncertainty_k=self._by_id(levels.uncertainty_k),
             lasting_k=self._by_id(levels.lasting_k),

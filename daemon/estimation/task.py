@@ -208,7 +208,8 @@ class ThermalTask:
         if self._past.calendar_set(max((each.memory_s for each in models), default=0.0)) or self._cleansing.gap_ended:
             for place, each in enumerate(models):
                 await self.use_model(each.model, at_once=place == 0)
-        self._levels.keep(self._cleansing.levels, self._cleansing.units.found, self._cleansing.memory.kept)
+        units, inputs = self._cleansing.units.found, self._cleansing.memory.kept
+        self._levels.keep(self._cleansing.levels, self._since.excluded, units, inputs)
         self.cycles_received += 1
         self._telemetry.arrived(cycle)
         renewed = self._estimate(temperatures)
@@ -223,8 +224,7 @@ class ThermalTask:
             self.latest_estimate = renewed
             self.estimates += 1
             self._deliver(renewed)
-            if (changed := self._since.changed()) is not None:
-                self._deliver(changed)
+            self._since.tell(self._deliver)
         if self._temperature_is_shown:
             self._deliver(self._cleansing.believed(temperatures, self._since.excluded))
         await _turns(TURNS_OF_OUTPUT)
@@ -311,8 +311,7 @@ class ThermalTask:
         if self.latest is not None and (first := self._estimate(self.latest)) is not None:
             self.latest_estimate = first = replace(first, trace=replace(first.trace, cleansed=None))
             self._deliver(first)
-            if (changed := self._since.changed()) is not None:
-                self._deliver(changed)
+            self._since.tell(self._deliver)
 
 
 def thermal_snapshot(thermal: ThermalTask) -> ThermalSnapshot:

@@ -129,6 +129,8 @@ class SensorLevelsDocument:
     away_utc_s: Mapping[int, float] = field(default_factory=dict[int, float])
     reads: Mapping[int, str] = field(default_factory=dict[int, str])
     """What each sensor read, see `TemperaturesConfig.reads`; empty: a version before did not say."""
+    excluded: Mapping[int, str] = field(default_factory=dict[int, str])
+    """Which were found wrong until the next reference, and by which sign each."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

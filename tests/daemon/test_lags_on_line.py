@@ -17,11 +17,13 @@ from config.schema.cnc_drivers import NO_NODE, OpcUaNodesConfig
 from daemon.estimation.task import ThermalTask
 from daemon.history.layout import MachineLayout
 from daemon.history.writer import HistoryWriter
-from daemon.messages import ReferenceRequest, ReferenceTakenUp, SensorsSinceReference, SpindleSpeed
+from daemon.messages import ReferenceEnded, ReferenceRequest, ReferenceTakenUp, SensorsSinceReference, SpindleSpeed
 from daemon.model_release.gate import inputs_now, inputs_of, unfit
 from daemon.model_release.release_checks import gate_inhibit
 from daemon.simulation.replaying import not_enabled
+from daemon.state_store.store import StateStore
 from daemon.telemetry.metrics import Telemetry
+from models.control.reference_records import ReferenceDocument, ReferenceRecord, ReferenceState
 from models.quality import Quality, Reason
 from models.recordings.dataset import Recording
 from models.records import CncMode, CncRun, CncSample, Reference, TemperatureCycle, ThermalErrorEstimate, Trace
@@ -729,7 +731,7 @@ def test_a_model_with_lags_of_speed_alone_takes_up_again_what_a_sensor_that_retu
 
 
 async def drifted_and_back(tmp_path, model, wrong):
-    """A shop in which the first sensor drifted by 6 K, went back in half an hour, and was positioned twice with."""
+    """A shop in which the first sensor drifted by 6 K and went back in half an hour, since the work was positioned."""
     (folder := tmp_path / str(wrong)).mkdir()
     shop = Shop(folder, model)
     await shop.prepare()
@@ -738,10 +740,13 @@ async def drifted_and_back(tmp_path, model, wrong):
     drift_k = np.interp(np.arange(len(shop.degc)) - shop.minute, [0.0, 60.0, 90.0], [0.0, 6.0, 0.0])
     shop.degc[:, 0] += wrong * drift_k
     await shop.run(95)
+    return shop
+
+
+async def positioned_again(shop):
     await shop.refer()
     await shop.run(2)
     await shop.history.flushed()
-    return shop
 
 
 @pytest.mark.parametrize("watched", [True, False])
@@ -751,7 +756,7 @@ async def test_a_model_that_is_released_after_a_sensor_was_wrong_counts_it_from_
     """The history tells how it drifted by 6 K; the lags of the model in use were set right, not another's: 0.4 um."""
     lags, off_um = [], []
     for wrong in (False, True):
-        shop = await drifted_and_back(tmp_path, model, wrong)
+        await positioned_again(shop := await drifted_and_back(tmp_path, model, wrong))
         await shop.task.use_model(replace(model, model_id="released", watch=model.watch if watched else None))
         await shop.run(3)
         off_um.append(shop.latest.thermal_error_um)
@@ -766,12 +771,42 @@ async def test_a_model_that_is_released_after_a_sensor_was_wrong_counts_it_from_
     assert lags[1] == pytest.approx(lags[0], abs=0.1)
 
 
-async def test_nor_does_a_restart_that_takes_no_reference_up_read_into_the_lags_what_it_said(tmp_path, model):
-    """Half an hour after the work was positioned again: 1.2 um without a watch, which found it wrong once more."""
+async def ended_for_good(shop):
+    """The reference ends for good: no record of it is left in the store."""
+    await shop.task._take(ReferenceEnded(reference_id="r1", for_good=True))
+    await shop.run(1)
+    keep_of_reference(shop, ReferenceDocument(state=ReferenceState.NONE))
+
+
+async def restarted_twice(shop):
+    """The first restart takes the reference not up, and leaves no record of it either."""
+    reference = next(item for item in reversed(shop.delivered) if isinstance(item, Reference))
+    sensors = next(item for item in reversed(shop.delivered) if isinstance(item, SensorsSinceReference))
+    record = ReferenceRecord(reference=reference, sensors=sensors)
+    keep_of_reference(shop, ReferenceDocument(state=ReferenceState.VALID, record=record))
+    await shop.end()
+    shop.begin()
+    await shop.prepare()
+    await shop.run(1)
+    keep_of_reference(shop, ReferenceDocument(state=ReferenceState.NONE))
+
+
+def keep_of_reference(shop, document):
+    StateStore(shop.history, shop.clock).put(document)
+
+
+@pytest.mark.parametrize("before", [positioned_again, restarted_twice, ended_for_good])
+async def test_nor_does_a_restart_that_takes_no_reference_up_read_into_the_lags_what_it_said(tmp_path, model, before):
+    """Half an hour after the work was positioned again: 1.2 um without a watch, which found it wrong once more.
+
+    So where no record of the reference was left any more, which alone held what had been found wrong since.
+    """
     lags, off_um = [], []
     for wrong in (False, True):
         shop = await drifted_and_back(tmp_path, model, wrong)
+        await before(shop)
         await shop.end()
+        shop.model = replace(model, watch=None)
         shop.begin()
         await shop.prepare()
         await shop.run(1)

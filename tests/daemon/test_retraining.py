@@ -190,7 +190,7 @@ def started(configuration: Configuration) -> None:
     layout, clock = MachineLayout.from_configuration(configuration), SystemClock()
     history = HistoryWriter(configuration.history.path, clock=clock, machine=layout)
     memory = LevelMemory(history, configuration.reads, clock)
-    memory.keep(memory.restored(), memory.units)
+    memory.keep(memory.restored(), {}, memory.units)
     HistoryBackfill(configuration, clock, NoPositions(), StateStore(history, clock))
     history.start()
     history.close()

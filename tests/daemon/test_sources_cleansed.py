@@ -158,7 +158,7 @@ async def test_that_a_box_says_another_unit_outlives_a_restart(tmp_path: Path) -
         memory = LevelMemory(history, configuration.temperatures.reads, SystemClock())
         history.start()
         if kept is not None:
-            memory.keep(first_levels(len(layout.sensor_ids)), kept)
+            memory.keep(first_levels(len(layout.sensor_ids)), {}, kept)
         await history.flushed()
         history.close()
     fed = Fed()

@@ -229,13 +229,13 @@ def test_a_sensor_that_reads_something_else_has_no_past_however_often_others_sta
     clock = HandClock()
     clock.calendar_s = 0.0  # a computer without a battery begins in 1970
     before = LevelMemory(history, {4: "one", 5: "five"}, clock)
-    before.keep(before.restored(), before.units)
+    before.keep(before.restored(), {}, before.units)
     memory = LevelMemory(history, {4: "another", 5: "five"}, clock)
     levels = memory.restored()
     for at_s in range(2 * GAPS_KEPT):
         levels = with_gap(levels, float(at_s), at_s + 0.5, np.array([1]))
     clock.calendar_s = EPOCH_S  # the computer is told the time
-    memory.keep(levels, memory.units)
+    memory.keep(levels, {}, memory.units)
     kept = LevelMemory(history, {4: "another", 5: "five"}, clock).restored()
     assert np.isnan(unshifted(kept, -1e9, np.array([20.0, 21.0]))).tolist() == [True, False]
     assert len(kept.gaps) == GAPS_KEPT + 1
@@ -246,3 +246,10 @@ def test_a_document_without_a_checksum_is_one_of_a_version_before(history, store
     del kept["crc32"]
     history.put_state(KEYS[WantedAxes], kept)
     assert store.get(WantedAxes) == WantedAxes(axes={"z": True})
+    kept = document_json(
+        SensorLevelsDocument(sensor_ids=(4,), shift_k={4: 0.25}, uncertainty_k={}, left=(), changes=())
+    )
+    del kept["crc32"], kept["excluded"]
+    history.put_state(KEYS[SensorLevelsDocument], kept)
+    assert dict(store.get(SensorLevelsDocument).shift_k) == {4: 0.25}
+    assert LevelMemory(history, {4: "one"}, HandClock()).excluded_before() == {}
