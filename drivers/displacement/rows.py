@@ -259,8 +259,8 @@ def _stamp_clock(config: LoggerFileConfig, last_s: float) -> Callable[[str, int]
             return moment.timestamp()
         moment = moment.replace(tzinfo=zone)
         utc_s, second_s = moment.timestamp(), moment.replace(fold=1).timestamp()
-        # An hour that comes twice when summer time ends: rows do not go back in time.
-        last_s = second_s if utc_s <= last_s < second_s else utc_s
+        # An hour that comes twice when summer time ends: rows do not go back in time, and several may have one stamp.
+        last_s = second_s if utc_s < last_s <= second_s else utc_s
         return last_s
 
     return local

@@ -1,5 +1,6 @@
 """Displacement files as loggers write them: what a file may look like, and its bad rows."""
 
+from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 
@@ -102,6 +103,16 @@ async def test_the_hour_that_comes_twice(path: Path) -> None:
     follower, _ = await read_all(config(path, time_zone="Europe/Berlin"), 6)
     utc_s = [sample.utc_s for sample in follower.samples]
     assert [b - a for a, b in pairwise(utc_s)] == [1800.0] * 5
+
+
+async def test_rows_of_one_time_stamp_in_the_hour_that_comes_twice(path: Path) -> None:
+    """Several rows a second, or a minute: the second of a pair was taken for an hour later, and all that followed."""
+    stamps = [f"{hour}:{minute:02}" for hour in ("02", "02", "03") for minute in range(0, 60, 20) for _ in range(3)]
+    path.write_text(HEADER + "".join(f"2026-10-25T{stamp}:00,0,0\n" for stamp in stamps))
+    follower, _ = await read_all(config(path, time_zone="Europe/Berlin"), len(stamps))
+    utc_s = [sample.utc_s for sample in follower.samples]
+    assert [b - a for a, b in pairwise(utc_s)] == [0.0, 0.0, 1200.0] * 8 + [0.0, 0.0]
+    assert utc_s[0] == datetime(2026, 10, 25, tzinfo=UTC).timestamp()
 
 
 async def test_a_file_that_begins_in_the_hour_that_comes_twice(path: Path) -> None:
