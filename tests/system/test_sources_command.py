@@ -113,9 +113,12 @@ def pasted(output: str, path: Path) -> Path:
 @pytest.mark.wires
 def test_a_scan_finds_the_registers_of_a_box_and_what_it_prints_can_be_pasted(tmp_path: Path, box: Box) -> None:
     runner = CliRunner()
-    found = runner.invoke(main, ["sources", "scan", "modbus", f"127.0.0.1:{box.port}", "--registers", "8"])
+    words = ["sources", "scan", "modbus", f"127.0.0.1:{box.port}", "--registers", "8"]
+    both = runner.invoke(main, [*words, "--units", "1-2"])
+    assert both.stdout.count("# 23.1 degC") == 2 and "unit_id: 2" in both.stdout, "a box of each unit, from one table"
+    found = runner.invoke(main, words)
     assert found.exit_code == 0, found.output
-    assert "# 23.1 degC" in found.stdout and "# open sensor" in found.stdout
+    assert found.stdout.count("# 23.1 degC") == 1 and "# open sensor" in found.stdout
     assert "150" not in found.stdout, "150 degC are not proposed"
     path = pasted(found.stdout, tmp_path / "toolpoint.yaml")
     read = runner.invoke(main, ["sources", "read", "--config", str(path), "--json", "-"])

@@ -104,9 +104,12 @@ async def _modbus(wire: dict[str, Any], unit_ids: range, registers: int) -> Foun
 
     config = ModbusConfig.model_validate({**wire, "sensors": [{"id": 1, "component": "-", "address": 0}]})
     answered = False
+    shown = set[int]()
     found: Found = []
     async for unit_id, table, words in ModbusScan(config).found(unit_ids, registers):
         answered, registers_found = True, temperatures_among(unit_id, table, words)
+        if unit_id in shown:
+            continue  # boxes often show the same registers in both tables; the first that fits is enough
         say(f"unit {unit_id}: {len(words)} {table} registers, {len(registers_found)} look like temperatures")
         for each in registers_found:
             entry: dict[str, Any] = {"address": each.address, "unit_id": unit_id, "table": table, "type": each.type}
@@ -116,7 +119,7 @@ async def _modbus(wire: dict[str, Any], unit_ids: range, registers: int) -> Foun
                 entry["open"] = sorted({*SIGNS[:1], *({each.number} if each.is_open else ())})
             found.append((entry, each.words))
         if registers_found:
-            break  # boxes often show the same registers in both tables; the first that fits is enough
+            shown.add(unit_id)
     if not answered:
         asked = f"unit {unit_ids[0]}" if len(unit_ids) == 1 else f"of units {unit_ids[0]} to {unit_ids[-1]} none"
         silent = "does not answer" if len(unit_ids) == 1 else "answers"
