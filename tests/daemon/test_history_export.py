@@ -345,6 +345,7 @@ def test_a_row_of_1969_and_one_of_2099_leave_no_million_of_empty_hours_to_walk(t
     writer.start()
     for time_s in times_s:
         writer.displacement(make.displacement(time_s, [1.0, 2.0, 3.0]))
+        writer.estimate(make.estimate(max(time_s, 0.0) - 1.0, np.zeros(3), model_id="m1"))
         written = make.macros(1, np.array([0.0, 1.0, -2.0]))
         writer._clock.utc_s = max(time_s, 0.0)
         writer.write_intent(make.command([0.0, 1.0, -2.0]), written, "cycle", None)
@@ -356,5 +357,28 @@ def test_a_row_of_1969_and_one_of_2099_leave_no_million_of_empty_hours_to_walk(t
         assert Table(reader, "displacements", EPOCH_S + 1.0, EPOCH_S + 6999.0).window_count <= 2
         assert Table(reader, "displacements", 4.08e9, 5e9).window_count == 0
         looks: list[None] = []
+        spans_s: list[float] = []
+        frame = reader.frame
+        reader.frame = lambda kind, from_s, to_s, *names: (
+            spans_s.append(to_s - from_s) or frame(kind, from_s, to_s, *names)
+        )
         found = writes_document(reader, 0.0, LATEST_UTC_S, 50, "", "", lambda: looks.append(None))
-    assert len(found["writes"]) == len(times_s) and len(looks) <= len(times_s)
+    assert len(found["writes"]) == len(times_s) and len(looks) <= 2 * len(times_s)
+    assert max(spans_s) <= 7200.0, "two writes of 130 years read no estimates of the years between"
+    assert {each["model_id"] for each in found["writes"]} <= {"m1", None}
+
+
+def test_what_stood_there_before_is_not_that_of_the_write_before_it_which_is_listed(tmp_path):
+    writer = HistoryWriter(tmp_path / "h.sqlite", clock=StillClock(EPOCH_S), machine=SMALL)
+    writer.start()
+    for number, cause in enumerate(("cycle", "retreat", "cycle")):
+        writer._clock.utc_s = EPOCH_S + 10.0 * number
+        written = make.macros(number, np.array([0.0, float(number), -2.0]))
+        intent = writer.write_intent(make.command([0.0, float(number), -2.0]), written, cause, None)
+        writer.write_outcome(intent, make.receipt(EPOCH_S, written))
+    writer.close()
+    with HistoryReader(tmp_path / "h.sqlite") as reader:
+        whole = writes_document(reader, 0.0, LATEST_UTC_S, 50, "", "", lambda: None)["writes"]
+        listed = writes_document(reader, 0.0, LATEST_UTC_S, 50, "cycle", "", lambda: None)["writes"]
+    assert [each["cause"] for each in listed] == ["cycle", "cycle"] and listed == [whole[0], whole[2]]
+    assert whole[0]["old"] == [value for _, value in whole[1]["macros"]]

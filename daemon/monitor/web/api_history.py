@@ -1,6 +1,7 @@
 """The API of what is recorded: series, estimate with its reference marks, writes, downloads."""
 
 from bisect import bisect_right
+from collections import deque
 from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Annotated, Any
@@ -58,16 +59,19 @@ def writes_document(
         if len(found) > limit:
             break
     more, found = len(found) > limit, found[-limit:]
-    if not found:
-        return {"writes": [], "more": False}
-    held = _held_before(reader, found[0].time_s)
-    model_of = _models(reader, found[0].time_s - HOUR_S, found[-1].time_s)
-    documents = []
+    documents, hour, held = list[dict[str, Any]](), -1.0, dict[int, float | None]()
     for record in found:
+        if record.time_s // HOUR_S != hour:
+            go_on()
+            hour = record.time_s // HOUR_S
+            span_s = (hour - 1.0) * HOUR_S, (hour + 1.0) * HOUR_S
+            before, model_of = deque(reader.writes(*span_s)), _models(reader, *span_s)
+            held = {} if text or outcome else held  # of hours that are not listed nothing is known
+        while before and before[0].write_id != record.write_id:
+            if (earlier := before.popleft()).outcome is WriteOutcome.VERIFIED:
+                held |= {number: finite_or_none(value) for number, value in earlier.macros}
         old = [held.get(number) for number, _ in record.macros]
         documents.append(write_document(record) | {"old": old, "model_id": model_of(record)})
-        if record.outcome is WriteOutcome.VERIFIED:
-            held |= {number: finite_or_none(value) for number, value in record.macros}
     return {"writes": documents[::-1], "more": more}
 
 
@@ -77,18 +81,9 @@ def _holds(record: WriteRecord, text: str, outcome: str) -> bool:
     return not text or any(text.lower() in (getattr(record, name) or "").lower() for name in SEARCHED)
 
 
-def _held_before(reader: HistoryReader, time_s: float) -> dict[int, float | None]:
-    """Return what each macro held before, by the writes of the hour before."""
-    held: dict[int, float | None] = {}
-    for record in reader.writes(time_s - HOUR_S, time_s):
-        if record.outcome is WriteOutcome.VERIFIED:
-            held |= {number: finite_or_none(value) for number, value in record.macros}
-    return held
-
-
 def _models(reader: HistoryReader, from_s: float, to_s: float) -> Callable[[WriteRecord], str | None]:
     """Return what tells the model of the latest estimate before a write of the output."""
-    frame = reader.frame(ESTIMATES, from_s, to_s + 0.001, ("model_id",))
+    frame = reader.frame(ESTIMATES, from_s, to_s, ("model_id",))
     times, names = (frame.integers("utc_ms") / 1e3).tolist(), frame.texts("model_id")
 
     def model_of(record: WriteRecord) -> str | None:
