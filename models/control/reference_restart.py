@@ -173,7 +173,9 @@ def _counts_otherwise(left: ReferenceDocument, rules: ReferenceRules) -> str:
 def _not_counted(record: ReferenceRecord, axes: tuple[str, ...], model_id: str | None) -> str:
     if record.baseline is None or record.baseline.axes != axes:
         return "its baseline was not stored"
-    if record.baseline.model_id not in (None, model_id):
+    if record.baseline.model_id is None and model_id is not None:
+        return f"no model has counted from it yet, the model is now {model_id}"
+    if record.baseline.model_id != model_id:
         return f"it belongs to model {record.baseline.model_id}, the model is now {model_id}"
     return ""
 

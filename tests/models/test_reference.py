@@ -445,6 +445,16 @@ def test_what_does_not_hold_any_more_is_not_taken_up_and_says_why(first, how, wo
     assert output.reference_id is None and output.baseline_um.tolist() == [4.0, 5.0]
 
 
+@pytest.mark.parametrize(("now", "taken_up"), [(MODEL, False), (None, True)])
+def test_a_reference_from_which_no_model_has_counted_is_another_model_s_not_after_a_restart(now, taken_up):
+    """It was taken up with any: the output would have gone by all that the machine has moved since the reference."""
+    memory, before = counted(in_force(handshake=True))
+    memory = reference.count_from(memory, replace(before, model_id=None), AXES)
+    memory, effects, output = begun(left_by(memory, 40.0), sample(40.0), model_id=now)
+    assert (memory.in_force is not None, output.reference_id == "r1") == (taken_up, taken_up)
+    assert taken_up or memory.ended.endswith("no model has counted from it yet, the model is now m")
+
+
 def test_what_is_kept_counts_with_the_sensors_and_the_factors_that_it_was_kept_with():
     memory, _ = counted(in_force(handshake=True), tools=(2,))
     kept, now = (replace(RULES, counts_with={"the list of sensors": ids, "the factor": "1"}) for ids in ("1 2", "2 1"))
