@@ -128,6 +128,17 @@ class HistoryReader(RestartReader):
         return dict(self._connection.execute("SELECT line, number FROM acknowledged").fetchall())
 
     @named_damage
+    def last_written_utc_s(self, kind: str) -> float | None:
+        """Return the time of the row that was written last, not that of a clock that was ahead; None without any."""
+        for query in (
+            f"SELECT utc_ms FROM {TABLES[kind]} WHERE ?1 = ?1 ORDER BY rowid DESC LIMIT 1",
+            "SELECT end_ms FROM chunks WHERE kind = ?1 ORDER BY last_row_id DESC LIMIT 1",
+        ):
+            if (found := self._connection.execute(query, (kind,)).fetchone()) is not None:
+                return float(found[0]) / 1e3
+        return None
+
+    @named_damage
     def row_count(self, kind: str) -> int:
         """Return how many rows of a kind there are, packed ones included."""
         with self._snapshot() as connection:

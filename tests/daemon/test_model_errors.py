@@ -46,6 +46,19 @@ def fill(
     writer = HistoryWriter(configuration.history.path, clock=clock, machine=layout)
     writer.start()
     echo = configuration.cnc.macros.echo_applied["z"]
+    refused = make.instant(start_s + 7200.0)
+    writer.probe(
+        ProbeSample(
+            time=refused,
+            axis="z",
+            deviation_um=900.0,
+            applied_um=0.0,
+            thermal_error_um=0.0,
+            reference_id=f"{model_id} 0",
+            accepted=False,
+            reason="larger than believed",
+        )
+    )
     for day in range(days):
         set_s = start_s + DAY_S * day
         clock.utc_s = set_s
@@ -69,19 +82,6 @@ def fill(
                     reason="",
                 )
             )
-    refused = make.instant(start_s + 7200.0)
-    writer.probe(
-        ProbeSample(
-            time=refused,
-            axis="z",
-            deviation_um=900.0,
-            applied_um=0.0,
-            thermal_error_um=0.0,
-            reference_id=f"{model_id} 0",
-            accepted=False,
-            reason="larger than believed",
-        )
-    )
     writer.close()
 
 
@@ -192,6 +192,15 @@ def test_the_command_says_it_and_ends_with_1_when_the_model_in_force_is_worn(tmp
     configuration = load_configuration(path)
     start_s = time.time() - 190 * DAY_S
     fill(configuration, start_s, 180, lambda day: 0.1 + 0.4 * day / 180.0, on=False)  # never commissioned
+    clock = make.StillClock(start_s)
+    writer = HistoryWriter(
+        configuration.history.path, clock=clock, machine=MachineLayout.from_configuration(configuration)
+    )
+    writer.start()
+    for at_s in (start_s + 1000 * DAY_S, start_s + 181 * DAY_S):  # the clock was ahead, and is set right
+        clock.utc_s = at_s
+        writer.cnc_sample(make.cnc_sample(at_s))
+    writer.close()
     done = CliRunner().invoke(main, ["model", "drift", "--config", str(path)])
     assert done.exit_code == 1, done.output
     assert "axis z, model m1: 360 probe values; leaves" in done.output and "train it anew" in done.output

@@ -217,7 +217,7 @@ def propose(config_path: Path, json_path: str | None) -> None:
     "last_s",
     callback=duration,
     default="400d",
-    help="How far back from the newest record to look; a model younger than this is judged by its first weeks too.",
+    help="How far back from the record written last; a model younger than this is judged by its first weeks too.",
 )
 @option("--bound", type=POSITIVE, help="Share of the error that may be left. Without: what loses a fifth of its worth.")
 @json_option
@@ -235,8 +235,8 @@ def drift(config_path: Path, last_s: float, bound: float | None, json_path: str 
     units = commissioned_um_per_unit(configuration)
     unjudged: Counter[tuple[str, str]] = Counter()
     with HistoryReader(configuration.history.path) as reader:
-        extents = [each for each in map(reader.extent, ("temperatures", "cnc", "probes")) if each is not None]
-        newest_s = max((last for _, last in extents), default=time.time())  # a replay's store is of another time
+        last = map(reader.last_written_utc_s, ("temperatures", "cnc", "probes"))
+        newest_s = max(filter(None, last), default=time.time())  # a replay's store is of another time
         until_s = newest_s + 1.0
         span_s = {"from_utc_s": until_s - last_s, "to_utc_s": until_s}
         errors = measured_errors(configuration, reader, units, **span_s, unjudged=unjudged)
