@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+import config
 from config.records.commissioning import LEAST_PROOF_UM
 from config.schema import Configuration
 from daemon.cnc.commissionable import insecure, unchecked
@@ -54,6 +55,15 @@ def refuse_unchecked(configuration: Configuration) -> None:
     """Refuse a block without a check: no axis would be enabled with it."""
     if problem := unchecked(configuration):
         raise CommissioningRefusedError(problem)
+
+
+def refuse_shipped(record_file: Path | None) -> None:
+    """Refuse a record that ships with Toolpoint: readings against it would rename it, and a new one replace it."""
+    if record_file is not None and record_file.resolve().is_relative_to(Path(config.__file__).resolve().parent):
+        raise CommissioningRefusedError(
+            f"{record_file} ships with Toolpoint and stays as it is: copy it, and name the copy in "
+            "compensation.commissioning_file (and --record)"
+        )
 
 
 def refuse_clock(clock: Clock, identity: str) -> None:

@@ -21,6 +21,7 @@ from daemon.commissioning.preconditions import (
     refuse_insecure,
     refuse_offset,
     refuse_other_speed_program,
+    refuse_shipped,
     refuse_state,
     refuse_unchecked,
     told_text,
@@ -101,6 +102,7 @@ class Commissioning:
         """
         refuse_insecure(self._configuration)
         if not self._plan.initialise_only:
+            refuse_shipped(self._configuration.compensation.commissioning_file)
             refuse_unchecked(self._configuration)
         refuse_offset(self._configuration, self._plan.axes, self._plan.offset_um)
         self._event(f"begun by {_login()}")

@@ -11,9 +11,11 @@ import pytest_asyncio
 from commissioning_bench import STOPPED, Bench, Person, refused, serving, set_back
 from control_rig import record_for
 
+from config.machines import shipped_file
 from config.records.commissioning import CommissionedAxis
 from config.records.commissioning_file import save_commissioning
 from daemon.commissioning.initialising import CommissioningRefusedError, ForeignWriterError
+from daemon.commissioning.movement import DISPROVED
 from daemon.commissioning.session import Sources
 from daemon.history.database import HistoryError
 from daemon.history.layout import MachineLayout
@@ -138,6 +140,23 @@ async def test_a_record_of_before_counts_no_more_where_another_axis_moves_the_on
     person = Person(bench)
     assert "axis z by 5.00 um instead" in await refused(bench, person, axes=("y",), change=named)
     assert not record_file.exists() and "in doubt for axis z, so it counts no more" in person.text_said
+
+
+async def test_a_record_that_ships_with_toolpoint_is_refused_and_stays(bench):
+    """It was renamed to .disproved, in the folder of the installation."""
+    bench.reset(REVERSED)
+    record_file = shipped_file("simulated_machine_commissioning.json")
+    before = record_file.read_bytes()
+
+    def named(content):
+        content["compensation"]["commissioning_file"] = str(record_file)
+
+    try:
+        assert "ships with Toolpoint and stays as it is: copy it" in await refused(bench, axes=("z",), change=named)
+        assert bench.writes() == [] and record_file.read_bytes() == before
+    finally:
+        record_file.write_bytes(before)
+        record_file.with_name(record_file.name + DISPROVED).unlink(missing_ok=True)
 
 
 @pytest.mark.parametrize(("wiring", "replaces"), [(REVERSED, True), (REVERSED, False), (Wiring(), True)])

@@ -253,6 +253,7 @@ def _commission(
     from daemon.cli.operate.run import parse_simulated_clock
     from daemon.commissioning.dialogue import TerminalDialogue
     from daemon.commissioning.initialising import CommissioningRefusedError
+    from daemon.commissioning.preconditions import refuse_shipped
     from daemon.commissioning.report import report_html
     from daemon.commissioning.session import check_destination, commission_by
     from daemon.telemetry.logs import configure_logging
@@ -265,6 +266,7 @@ def _commission(
         key = SigningKey.of_this_account(TrustedKeys.read(configuration.signatures.public_keys), "commissioning record")
         for path in (record_file, report_path):
             if path is not None:
+                refuse_shipped(path)
                 check_destination(path)
         dialogue = TerminalDialogue(consent=consent)
 
