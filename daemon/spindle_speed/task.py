@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from config.schema import Configuration
 from config.schema.spindle_speed import SpindleSpeedConfig
-from daemon.cnc.events import NUMBERS, Journal
+from daemon.cnc.events import Journal
 from daemon.cnc.interlocks import Interlocks
 from daemon.cnc.session import CncSession
 from daemon.snapshots import SpindleSpeedSnapshot
@@ -18,7 +18,7 @@ from daemon.spindle_speed.decision import PLANNING, OperationMemories, Operation
 from daemon.spindle_speed.macro_block import DISABLED, MacroValues, SpeedBlock, SpeedPair
 from daemon.spindle_speed.messages import PlannedSpeed
 from daemon.spindle_speed.planner_process import SpeedWorker
-from daemon.spindle_speed.turning import TurningSpeed
+from daemon.spindle_speed.turning import SpeedAlarms, TurningSpeed
 from daemon.spindle_speed.writer import SpeedWriteError, SpeedWriter
 from drivers.clock import Clock
 from drivers.contract import FatalDriverError
@@ -93,6 +93,7 @@ class Follower:
         self.switch = SpeedSwitch(journal)
         self._decision = SpeedDecision(tuning, worker)
         self._turning = TurningSpeed(tuning)
+        self._alarms = SpeedAlarms(journal)
         self._operation_state: OperationState | None = None
         self._next_read_s = -math.inf
         self._found: MacroValues = {}
@@ -135,6 +136,7 @@ class Follower:
         self._hold_against(operation, sample, phase)
         if not self._inhibited:
             await self._serve(session, operation, phase, clock_s, now_s)
+        self._alarms.end(now_s)
 
     async def _read(self, session: CncSession) -> MacroValues | None:
         """Read the macros; where the CNC has none of them for us, say so and leave the compensation its link."""
@@ -147,10 +149,9 @@ class Follower:
             return None
 
     def _inhibit(self, why: str) -> None:
-        """Take why nothing is decided or written; log once what is logged nowhere else."""
-        elsewhere = why in ("", NO_LINK) or self._journal.fault is not None
-        if not elsewhere and NUMBERS.sub("~", why) != NUMBERS.sub("~", self._inhibited):
-            self._journal.say("alarm", f"spindle speed: {why}")
+        """Take why nothing is decided or written; record what is recorded nowhere else."""
+        if why not in ("", NO_LINK) and self._journal.fault is None:
+            self._alarms.there(why, self._clock.now().monotonic_s)
         self._inhibited = why
 
     def _judged(self, session: CncSession, found: MacroValues, clock_s: float, now_s: float) -> str:
@@ -203,8 +204,8 @@ class Follower:
         return OperationState(memory=memory, moved=moved)
 
     def _hold_against(self, operation: SpeedOperation | None, sample: CncSample, phase: Phase) -> None:
-        """Hold the spindle's speed against what the NC has taken; say once when they differ, and when they agree."""
-        state, taken_rpm, before = self._operation_state, None, self._turning.alarm
+        """Hold the spindle's speed against what the NC has taken."""
+        state, taken_rpm = self._operation_state, None
         if operation is not None and state is not None and not (self._inhibited or self._withheld):
             taken_rpm = self._taken_rpm(state, operation)
         planned, stable_rpm = self.worker.latest, (0.0, math.inf)
@@ -212,10 +213,8 @@ class Follower:
             choice = planned.plan.choice
             stable_rpm = choice.pocket_rpm if choice.stable and planned.called == operation.called else stable_rpm
         self._turning.update(taken_rpm, sample, phase, stable_rpm)
-        if self._turning.alarm and not before:
-            self._journal.say("alarm", f"spindle speed: {self._turning.alarm}")
-        elif before and self._turning.cuts and not self._turning.alarm:
-            self._journal.say("speed", "the spindle turns at the speed that the NC has taken")
+        if self._turning.alarm:
+            self._alarms.there(self._turning.alarm, sample.time.monotonic_s)
 
     def _range_rpm(self, operation: SpeedOperation) -> tuple[float, float]:
         """Return the lowest and highest speed that may be commanded for an operation [1/min]."""
@@ -245,7 +244,7 @@ class Follower:
             return
         self._operation_state = state
         if state is not before:
-            self._report(before, state)
+            self._report(operation, before, state, now_s)
         self._memories.keep(operation, *state.lasting)
 
     @property
@@ -275,16 +274,16 @@ class Follower:
         of_block = self._block.status(self._found) == SpeedStatus.APPLIED
         return applied_rpm if of_block or applied_rpm == float(round(state.memory.commanded_rpm)) else None
 
-    def _report(self, before: OperationState, now: OperationState) -> None:
+    def _report(self, operation: SpeedOperation, before: OperationState, now: OperationState, now_s: float) -> None:
         """Record what has reached the CNC."""
         command = now.command
         from_rpm, to_rpm = before.memory.commanded_rpm, now.memory.commanded_rpm
         if command is not None and from_rpm != to_rpm:
             word = "jumps" if command.jump else "moves"
             self._journal.say("speed", f"{word} from {from_rpm:.0f} to {to_rpm:.0f} 1/min: {command.reason}")
-        runs_on = NUMBERS.sub("~", now.alarm) == NUMBERS.sub("~", before.alarm)
-        if now.alarm and now.alarm != PLANNING and not runs_on:
-            self._journal.say("alarm", f"spindle speed: {now.alarm}")
+        if now.alarm and now.alarm != PLANNING:
+            unstable = command is not None and command.state is SpeedState.NO_STABLE_SPEED
+            self._alarms.there(now.alarm, now_s, f"{operation.made_for} {command.state.value}" if unstable else "")
 
     # --- showing -------------------------------------------------------------------------
 

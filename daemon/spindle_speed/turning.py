@@ -3,11 +3,36 @@
 import math
 
 from config.schema.spindle_speed import SpindleSpeedConfig
+from daemon.cnc.events import NUMBERS, Journal
 from models.records import CncSample, Phase
 
 LASTS_S = 10.0
 """A spindle may take so long to come to its speed, and what is computed of the dynamics may change for so long [s]."""
 STANDS_RPM = 1.0
+OVER_S = 180.0
+"""An alarm that comes back within this is the same one [s]: temperatures and depths tremble at a limit."""
+
+
+class SpeedAlarms:
+    """Records each reason of an alarm when it comes and when it has gone; its numbers may change meanwhile."""
+
+    def __init__(self, journal: Journal) -> None:
+        self._journal = journal
+        self._there: dict[str, tuple[str, float]] = {}
+
+    def there(self, text: str, now_s: float, reason: str = "") -> None:
+        """Take an alarm of now; `reason`: what it is, whatever its text says, '' where the text without numbers is."""
+        reason = reason or NUMBERS.sub("~", text)
+        if reason not in self._there:
+            self._journal.say("alarm", f"spindle speed: {text}")
+        self._there[reason] = self._there.get(reason, (text, now_s))[0], now_s
+
+    def end(self, now_s: float) -> None:
+        """Record what has not been there for long enough."""
+        for reason, (text, latest_s) in list(self._there.items()):
+            if now_s - latest_s >= OVER_S:
+                del self._there[reason]
+                self._journal.say("speed", f"over for {OVER_S / 60.0:g} min: {text}")
 
 
 class TurningSpeed:

@@ -168,11 +168,37 @@ async def test_an_alarm_whose_numbers_run_on_is_recorded_once(bench: SpeedRig) -
         await bench.pass_by(5.0, SAFE)
         said.add(bench.picture()["alarm"])
     assert len(said) > 3
+    for _ in range(3):
+        await bench.operation(D=2.0)
+        await bench.operation(D=15.0)
+    assert "cut less deep" in bench.picture()["alarm"]
+    await bench.operation(D=2.0)
+    await bench.pass_by(190.0, SAFE)
+    said = await alarms_of(bench)
+    assert len(said) == 2, "also where the operation comes and goes"
+    assert "cut less deep" in said[0]
+    assert said[1] == f"over for 3 min: {said[0].removeprefix('spindle speed: ')}"
+
+
+async def alarms_of(bench: SpeedRig) -> list[str]:
     await bench.rig.history.flushed()
     with HistoryReader(bench.rig.configuration.history.path) as reader:
-        alarms = [each.text for each in reader.events(0.0, 1e12) if each.kind == "alarm"]
-    assert len(alarms) == 1
-    assert "cut less deep" in alarms[0]
+        events = reader.events(0.0, 1e12)
+    return [each.text for each in events if each.kind == "alarm" or each.text.startswith("over for")]
+
+
+async def test_no_stable_speed_is_one_alarm_whatever_denies_the_speeds(tmp_path: Path) -> None:
+    """Lobes and verification put it in other words, in turns as the spindle warms."""
+    bench = SpeedRig(tmp_path, verify_with_sdm=True)
+    async with running(bench.rig):
+        await bench.rig.turn()
+        await bench.operation(D=3.5)
+        said = set()
+        for bench.degc in range(28, 37):
+            await bench.pass_by(5.0, SAFE)
+            said.add(bench.picture()["alarm"][:12])
+        assert len(said) == 2
+        assert len(await alarms_of(bench)) == 1
 
 
 async def test_another_operation_does_not_inherit_the_speed(bench: SpeedRig) -> None:
