@@ -6,6 +6,7 @@ builds without a network. `python hatch_build.py` does the same by hand.
 """
 
 import hashlib
+import re
 import shutil
 import subprocess
 import sys
@@ -22,8 +23,12 @@ FILES = {
     "uplot/LICENSE": "uPlot-LICENSE.txt",
 }
 """File of a package -> its name beside the pages."""
-OWN = {"docs/reference/messages.md": "messages.md"}
-"""File of this repository -> its name beside the pages."""
+MESSAGES = "docs/reference/messages.md"
+REMEDIES = "remedies.md"
+"""Of the table of messages what a page shows beside a sentence: a third of its bytes."""
+NO_REMEDY = re.compile(r"(?:part|name|frame|condition)(?: of|:)|\(")
+"""Causes of what is no whole sentence begin so."""
+SEEN_ELSEWHERE = re.compile(r"as it says|read the reason|see there")
 INPUTS = ("package.json", "package-lock.json", ".npmrc")
 STAMP = "made-from.sha256"
 """Holds the hash of the lock file that the files were installed by."""
@@ -43,8 +48,8 @@ def put_files(root: Path) -> None:
     """Install the files into the tree of sources; raises SystemExit with npm's own words when it cannot."""
     place = root / PLACE
     place.mkdir(parents=True, exist_ok=True)
-    for source, target in OWN.items():
-        shutil.copyfile(root / source, place / target)
+    shutil.copy(root / MESSAGES, place)
+    (place / REMEDIES).write_text(remedies((root / MESSAGES).read_text("utf-8")), encoding="utf-8")
     made_from = hashlib.sha256((root / "package-lock.json").read_bytes()).hexdigest()
     stamp = place / STAMP
     whole = all((place / name).is_file() for name in FILES.values())
@@ -58,6 +63,16 @@ def put_files(root: Path) -> None:
         for source, target in FILES.items():
             shutil.copyfile(folder / "node_modules" / source, place / target)
     stamp.write_text(made_from, encoding="ascii")
+
+
+def remedies(table: str) -> str:
+    """Return those rows of the table of messages that say what to do, without their causes."""
+    rows = (re.split(r"(?<!\\) \| ", line[2:-2]) for line in table.splitlines() if line.startswith("| "))
+    return "".join(
+        f"| {text} | {do} |\n"
+        for text, cause, do in rows
+        if text != "what it says" and not (NO_REMEDY.match(cause) or SEEN_ELSEWHERE.match(do))
+    )
 
 
 def install_packages(folder: Path, *options: str) -> None:

@@ -284,6 +284,9 @@ async def test_a_fault_appears_with_its_reason_and_what_to_do(tmp_path):
         assert "FAULT" in await seen.page.title()
         await expect(seen.page.locator("ul.checks").first).to_contain_text("What is switched on waits")
         await expect(seen.page.locator(".state .todo")).to_contain_text("What to do: ", timeout=PATIENCE_MS)
+        asked = await seen.page.evaluate("performance.getEntriesByType('resource').map(one => one.name)")
+        tables = [address.rsplit("/", 1)[1] for address in asked if address.endswith(".md")]
+        assert tables == ["remedies.md"], "the whole manual is three times as large"
         await seen.page.get_by_role("link", name="All messages").click()
         await seen.page.locator("#search").fill("another program writes")
         await expect(seen.page.locator("table.messages tbody tr").first).to_be_visible(timeout=PATIENCE_MS)

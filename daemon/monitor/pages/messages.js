@@ -6,36 +6,37 @@ let entries = null;
 let loading = null;
 const known = new Map();
 
-// Entries {text, cause, remedy} by the headings of the manual's page.
-export function load() {
-  loading ??= fetch("vendor/messages.md").then(async (answer) => {
-    if (!answer.ok) throw new Error("The table of messages is not installed beside the pages: install Toolpoint anew.");
-    entries = parse(await answer.text());
-    return entries;
-  });
-  return loading;
-}
-
-function parse(markdown) {
+async function rows(name) {
+  const answer = await fetch(`vendor/${name}`);
+  if (!answer.ok) throw new Error("The table of messages is not installed beside the pages: install Toolpoint anew.");
   let room = "";
   const found = [];
-  for (const line of markdown.split("\n")) {
+  for (const line of (await answer.text()).split("\n")) {
     if (line.startsWith("## ")) room = line.slice(3);
-    const cells = line.startsWith("| ") ? line.slice(2, -2).split(/(?<!\\) \| /).map((cell) => cell.replaceAll("\\|", "|").replaceAll("&lt;", "<")) : [];
-    if (cells.length === 3 && cells[0] !== "what it says") found.push({ room, text: cells[0], cause: cells[1], remedy: cells[2], pattern: pattern(cells[0]) });
+    if (line.startsWith("| ")) found.push([room, ...line.slice(2, -2).split(/(?<!\\) \| /).map((cell) => cell.replaceAll("\\|", "|").replaceAll("&lt;", "<"))]);
   }
   return found;
 }
 
+// Entries {room, text, cause, remedy} by the headings of the manual's page.
+export async function load() {
+  return (await rows("messages.md")).filter((row) => row.length === 4 && row[1] !== "what it says").map(([room, text, cause, remedy]) => ({ room, text, cause, remedy }));
+}
+
+// Of these only what has a remedy: a third of the bytes.
+function loadRemedies() {
+  loading ??= rows("remedies.md").then((found) => { entries = found.map(([, text, remedy]) => ({ text, remedy, pattern: pattern(text) })); });
+  return loading;
+}
+
 const literal = (text) => text.replace(/…/g, "").trim().length;
 const pattern = (text) => new RegExp(text.split("…").map((piece) => piece.replace(/[.*+?^${}()|[\]\\]/g, "\\$&")).join("(.+)"));
-const says_nothing = ({ cause, remedy }) => /^((part|name|frame|condition)( of|:)|\()/.test(cause) || /^(as it says|read the reason|see there)/.test(remedy);
 
 // Remedies of a sentence, of the whole first and then of what it quotes; [] while the table is not there, or none fits.
 export function remedies(sentence) {
   if (!sentence) return [];
   if (entries === null) {
-    load().catch(() => {});
+    loadRemedies().catch(() => {});
     return [];
   }
   const asked = sentence.slice(0, LONGEST);
@@ -47,7 +48,7 @@ export function remedies(sentence) {
 }
 
 function found(sentence) {
-  const fits = entries.filter((one) => !says_nothing(one)).map((one) => [one, one.pattern.exec(sentence)]).filter(([one, match]) => match && literal(one.text) >= 10);
+  const fits = entries.map((one) => [one, one.pattern.exec(sentence)]).filter(([one, match]) => match && literal(one.text) >= 10);
   const [best, match] = fits.sort(([a, x], [b, y]) => (y[0].length === sentence.length) - (x[0].length === sentence.length) || literal(b.text) - literal(a.text))[0] ?? [];
   if (!best) return [];
   const within = match.slice(1).flatMap((piece) => (piece.length < sentence.length ? remedies(piece) : []));
