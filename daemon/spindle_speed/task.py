@@ -282,8 +282,8 @@ class Follower:
             word = "jumps" if command.jump else "moves"
             self._journal.say("speed", f"{word} from {from_rpm:.0f} to {to_rpm:.0f} 1/min: {command.reason}")
         if now.alarm and now.alarm != PLANNING:
-            unstable = command is not None and command.state is SpeedState.NO_STABLE_SPEED
-            self._alarms.there(now.alarm, now_s, f"{operation.made_for} {command.state.value}" if unstable else "")
+            unstable = "" if command is None or command.state is not SpeedState.NO_STABLE_SPEED else command.state.value
+            self._alarms.there(now.alarm, now_s, unstable and f"{operation.made_for} {unstable}")
 
     # --- showing -------------------------------------------------------------------------
 
