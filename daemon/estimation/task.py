@@ -29,6 +29,7 @@ from daemon.messages import (
     ReferenceRefused,
     ReferenceRequest,
     ReferenceTakenUp,
+    SensorsSinceReference,
     SpindleSpeed,
     TemperaturesTrusted,
 )
@@ -80,8 +81,7 @@ class ThermalTask:
         temperatures = configuration.temperatures
         self._clock, self._history, self._telemetry = clock, history, telemetry
         self._deliver, self._on_change, self.inbox = deliver, on_change, inbox
-        shown = (configuration.cnc.temperature_macro, configuration.spindle_speed)
-        self._temperature_is_shown = any(each is not None for each in shown)
+        self._temperature_is_shown = _temperature_is_shown(configuration)
         self._labels = {label: np.array(indices) for label, indices in temperatures.labels.items()}
         self._sensor_ids = temperatures.sensor_ids
         self._cleansing = Cleansing(configuration, clock)
@@ -96,6 +96,7 @@ class ThermalTask:
         self._in_use = partial(_in_use, self._past, self._cleansing, temperatures, self._positions)
         self._online = self._in_use(model)
         self._next: ModelInUse | None = None  # waits for an estimate to go on from, or a reference
+        self._gave_way: dict[str, ModelInUse] = {}  # at a newer reference, by the one that it counts from
         self._follows: tuple[str, FloatArray] | None = None  # see ThermalErrorEstimate
         self._since = SinceReference(self._sensor_ids, self._labels)
         self._wrong_before = partial(_wrong_before, self._cleansing, self._since, self._sensor_ids)
@@ -117,8 +118,7 @@ class ThermalTask:
             try:
                 await self._take(item)
             except Exception:
-                # A defect here must not stop the output: without estimates it holds, and says so.
-                log.exception("thermal.defect")
+                log.exception("thermal.defect")  # the output goes on: without estimates it holds, and says so
                 if isinstance(item, ReferenceRequest):
                     why = f"reference of {item.source} refused: its temperatures could not be taken, see the log"
                     self._deliver(ReferenceRefused(reference_id=item.reference_id, why=why))
@@ -155,22 +155,25 @@ class ThermalTask:
             self._set_reference(item)
         elif isinstance(item, ReferenceTakenUp):
             if self._reference is None or self._reference.reference_id != item.reference.reference_id:  # it was left
-                await self._take_up(item)
+                await self._take_up(item.reference, item.sensors)
         elif isinstance(item, TemperaturesTrusted):
             self._cleansing.trust_temperatures()
             log.info("temperatures.trusted", person=item.person)
         else:
             await self.use_model(item)
 
-    async def _take_up(self, message: ReferenceTakenUp) -> None:
+    async def _take_up(self, reference: Reference, sensors: SensorsSinceReference | None) -> None:
         """Go on from a reference of before; what the model needs of the store is read in a thread."""
-        reference = message.reference
         self._taken_up_s = self._clock.now().monotonic_s
         self._cleansing.count_again_from(reference.reference_id, reference.time.monotonic_s)
-        self._since.take_up(reference, message.sensors)
+        self._since.take_up(reference, sensors)
         self._positions.take_up(self._since.positions_mm)
-        if self._online is not None:
-            await self._count_from_reference(self._online, reference, self._taken_up_s, {})
+        before, now = self._gave_way.get(reference.reference_id), self._online
+        if before is not None and now is not None:  # the reference at which it gave way was refused
+            self._online, self._reference = before, reference
+            await self.use_model(now.model)
+        elif now is not None:
+            await self._count_from_reference(now, reference, self._taken_up_s, {})
         self._reference = reference
 
     async def use_model(self, model: ThermalModel | None, *, at_once: bool = False) -> None:
@@ -182,7 +185,7 @@ class ThermalTask:
                 await self._count_from_reference(online, self._reference, now_s, {} if at_once else wrong)
         at_once = at_once or self._online is None or online is None or self._reference is None
         self._online, self._next = (online, None) if at_once else (self._online, online)
-        self._follows = None if at_once else self._follows
+        self._follows, self._gave_way = None if at_once else self._follows, {}
 
     async def _count_from_reference(self, to: ModelInUse, at: Reference, now_s: float, wrong: dict[int, str]) -> None:
         known = (wrong | self._since.excluded, self._since.of_model, self._positions.at_reference(at.degc))
@@ -290,16 +293,15 @@ class ThermalTask:
 
     def _set_reference(self, request: ReferenceRequest) -> None:
         now = self._clock.now()
-        latest_s = -np.inf if self.latest is None else self.latest.trace.first_byte.monotonic_s
-        degc = self._cleansing.mean_degc() if now.monotonic_s - latest_s <= self._cleansing.due_s else np.empty(0)
+        degc = _due_degc(self._cleansing, now.monotonic_s)
         usable = int(np.isfinite(degc).sum())
         if why := self._cleansing.refusal(usable, now.monotonic_s):
-            refused = f"reference of {request.source} refused: {why}"
-            self._deliver(ReferenceRefused(reference_id=request.reference_id, why=refused))
+            why = f"reference of {request.source} refused: {why}"
+            self._deliver(ReferenceRefused(reference_id=request.reference_id, why=why))
             return
+        self._gave_way = _gives_way(self._online, self._next, self._reference) or self._gave_way
         self._reference = reference = _reference(request, now, degc)
-        self._online, self._next, self._taken_up_s = self._next or self._online, None, -np.inf
-        self._follows = None
+        self._online, self._next, self._follows, self._taken_up_s = self._next or self._online, None, None, -np.inf
         self._cleansing.trust_anew(reference.reference_id, self._since.excluded)
         self._since.begin(reference)
         self._since.positions_mm = self._positions.set_reference(now.monotonic_s)
@@ -354,6 +356,21 @@ def _means_of(past: HistoryBackfill, cleansing: Cleansing, count: int) -> Histor
     return means
 
 
+def _gives_way(
+    online: ModelInUse | None, following: ModelInUse | None, reference: Reference | None
+) -> dict[str, ModelInUse]:
+    """Return which model gives way to one that waits, by the reference that it counts from; empty where none does."""
+    if online is None or following is None or reference is None:
+        return {}
+    return {reference.reference_id: online}
+
+
+def _due_degc(cleansing: Cleansing, now_s: float) -> FloatArray:
+    """Return the means of now [degC]; empty where no cycle has come in time."""
+    latest_s = -np.inf if cleansing.latest is None else cleansing.latest.trace.first_byte.monotonic_s
+    return cleansing.mean_degc() if now_s - latest_s <= cleansing.due_s else np.empty(0)
+
+
 def _reference(request: ReferenceRequest, now: Instant, degc: FloatArray) -> Reference:
     return Reference(
         reference_id=request.reference_id,
@@ -364,6 +381,10 @@ def _reference(request: ReferenceRequest, now: Instant, degc: FloatArray) -> Ref
         work_offset=request.work_offset,
         power_on_count=request.power_on_count,
     )
+
+
+def _temperature_is_shown(configuration: Configuration) -> bool:
+    return configuration.cnc.temperature_macro is not None or configuration.spindle_speed is not None
 
 
 async def _turns(count: int) -> None:

@@ -7,6 +7,7 @@ import pytest
 from control_rig import SENSOR_IDS
 from thermal_rig import Task, model
 
+from daemon.estimation.task import thermal_snapshot
 from daemon.messages import ReferenceRebased, ReferenceTakenUp, TemperaturesTrusted
 
 
@@ -199,6 +200,30 @@ async def test_a_reference_that_another_one_was_refused_for_is_in_doubt_as_befor
     await task.minutes(2)
     assert task.estimates[-1].inhibit == "", "it is where it was"
     task.history.close()
+
+
+async def test_a_model_that_waits_waits_on_where_the_reference_at_which_it_took_over_is_refused(task):
+    """It went on from an estimate that nobody follows: 4 um off once the sensor was back, until the next reference."""
+    coefficients = np.zeros((1, len(SENSOR_IDS)))
+    coefficients[0, 0] = 4.0
+    await task.minutes(2)
+    await task.ask("r1")
+    await task.minutes(6, spindle=[np.nan, 20.0, 20.0])
+    kept = task.taken_up(task.references[-1])
+    await task.task.use_model(model(model_id="next", coefficients_um_per_k=coefficients))
+    for rise_k in np.arange(0.5, 4.1, 0.5):
+        await task.minutes(1, spindle=[np.nan, 20.0, 20.0 + rise_k])
+    assert "may be 4.8 um off" in task.estimates[-1].inhibit
+    await task.ask("r2")
+    assert task.estimates[-1].model_id == "next", "what was before the new reference says nothing of it"
+    await task.task._take(kept)
+    await task.minutes(1, spindle=[np.nan, 20.0, 24.0])
+    assert (task.estimates[-1].reference_id, task.estimates[-1].model_id) == ("r1", "made-up")
+    assert thermal_snapshot(task.task).model_waits
+    await task.minutes(6, spindle=[24.0, 20.0, 24.0])
+    before = [one for one in task.estimates if one.model_id == "made-up"][-1]
+    assert task.estimates[-1].model_id == "next" and before.inhibit == ""
+    assert before.thermal_error_um == pytest.approx(8.0, abs=0.6), "the truth, but for what fades yet"
 
 
 @pytest.mark.parametrize("restarted", [False, True])
