@@ -15,6 +15,7 @@ from daemon.snapshots import SpeedDiagram
 from daemon.spindle_speed.messages import CalledOperation, PlannedSpeed, PlanRequest
 from models.dynamics.assembly import SpindleAssembly
 from models.errors import IdentificationError, StabilityError
+from models.spindle_speed.beside_the_band import BesideTheBand
 from models.spindle_speed.choice import SpeedDemand, SpeedLimits
 from models.spindle_speed.planner import MillingOperation, SpeedPlanner
 from models.spindle_speed.tool_point import EstimatedToolPoint
@@ -98,6 +99,7 @@ class OperationPlanning:
                     f"{beside_hz:.0f} Hz, and {low_hz:.0f} to {high_hz:.0f} Hz are computed: a cut would chatter where "
                     "nobody looks; leave this tool out of spindle_speed.operations"
                 )
+        self._beside = BesideTheBand(tracker) if tuning.verify_with_sdm else None
         self._places = [place for axis in assemblies for name in model.axes[axis].signals for place in labels[name]]
 
     def disbelief(self, doubted: Mapping[int, str]) -> str:
@@ -142,6 +144,8 @@ class OperationPlanning:
             within_fraction=tuning.max_change_percent / 100.0,
         )
         range_rpm = limits.range_rpm(called.speed_rpm)
+        if self._beside is not None:
+            self._beside.check(case.cut().straight(), _feeds_deg(case), depth_mm, range_rpm[1])
         if tuning.hysteresis_rpm > (allowed_rpm := tuning.tolerance_rpm(range_rpm[0])):
             raise StabilityError(
                 f"spindle_speed.hysteresis_rpm of {tuning.hysteresis_rpm:g} is more than tolerance_percent allows at "
@@ -166,8 +170,11 @@ class OperationPlanning:
 
 
 def _verification(case: StabilityCase) -> StabilityVerification:
-    feeds_deg = DIRECTIONS_DEG if case.feed_deg == ALL_DIRECTIONS else (float(case.feed_deg),)
-    return StabilityVerification(case.cut(), feeds_deg)
+    return StabilityVerification(case.cut(), _feeds_deg(case))
+
+
+def _feeds_deg(case: StabilityCase) -> tuple[float, ...]:
+    return DIRECTIONS_DEG if case.feed_deg == ALL_DIRECTIONS else (float(case.feed_deg),)
 
 
 def _with_radial(case: StabilityCase, radial_mm: float) -> StabilityCase:

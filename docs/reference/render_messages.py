@@ -62,6 +62,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "The spindle speed": (
         "daemon/spindle_speed",
         "daemon/speed_planner.py",
+        "models/spindle_speed/beside_the_band.py",
         "models/spindle_speed/choice.py",
         "models/spindle_speed/planner.py",
         "models/spindle_speed/tracked_tool_point.py",

@@ -59,7 +59,7 @@ class TrackedToolPoint:
         if dynamics is None:
             return None
         self.known = EstimatedToolPoint(
-            response=_response(dynamics.frequency_hz, _receptances(dynamics)),
+            response=response_of_axes(dynamics.frequency_hz, _receptances(dynamics)),
             resonance_hz=dynamics.resonance_hz,
             flagged_ends=self._flagged_ends(dynamics),
             inhibit="; ".join(each for each in (dynamics.inhibit, self._few(degc)) if each),
@@ -121,7 +121,7 @@ class TrackedToolPoint:
             before_hz = known.resonance_hz[axis]
             distance_hz, nearest_hz = min(((abs(each - before_hz), each) for each in found), default=(0.0, before_hz))
             resonance_hz[axis] = nearest_hz if distance_hz < FAR_HZ else before_hz
-        return EstimatedToolPoint(response=_response(frequency_hz, receptances), resonance_hz=resonance_hz)
+        return EstimatedToolPoint(response=response_of_axes(frequency_hz, receptances), resonance_hz=resonance_hz)
 
     def _flagged_ends(self, dynamics: ToolPointDynamics) -> tuple[EstimatedToolPoint | None, ...]:
         """Return the responses at the ends; the same objects as long as neither resonances nor ends have changed."""
@@ -150,7 +150,7 @@ class TrackedToolPoint:
                     found.append(None)
                 elif value != parameters[ends.name]:
                     receptance = tracker.receptance({**parameters, ends.name: value})
-                    response = _response(dynamics.frequency_hz, {**_receptances(dynamics), axis: receptance})
+                    response = response_of_axes(dynamics.frequency_hz, {**_receptances(dynamics), axis: receptance})
                     found.append(
                         EstimatedToolPoint(response=response, resonance_hz={**dynamics.resonance_hz, axis: at_hz})
                     )
@@ -161,7 +161,7 @@ def _receptances(dynamics: ToolPointDynamics) -> dict[str, ComplexArray]:
     return {axis: each.receptance_m_per_n for axis, each in dynamics.axes.items()}
 
 
-def _response(frequency_hz: FloatArray, receptances: Mapping[str, ComplexArray]) -> SampledResponse:
+def response_of_axes(frequency_hz: FloatArray, receptances: Mapping[str, ComplexArray]) -> SampledResponse:
     """Return the matrix of receptances; an axis that is not modelled is rigid."""
     matrix = np.zeros((len(frequency_hz), 2, 2), dtype=np.complex128)
     for place, axis in enumerate(AXES):

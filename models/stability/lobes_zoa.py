@@ -31,6 +31,10 @@ NEAR_RANGE = 1.02
 """A peak between samples may belong to a speed this much beyond that of its highest sample."""
 RISE_BETWEEN_SAMPLES = 1.1
 """A peak between samples is at most this much higher than its highest sample."""
+CERTAIN_SHARE, FLIP_SHARE = 0.8, 0.4
+"""Shares of the zeroth-order depth that are stable for certain: above several waves from tooth to tooth, and below."""
+MANY_WAVES = 2.0
+"""Where a vibration has fewer waves from tooth to tooth, flip lobes lie far below those of the zeroth order."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,6 +87,29 @@ def limiting_depth(
     """
     (direction,) = _directions(response, cut, np.array([speed_rpm, speed_rpm * (1.0 + NEARBY)]), (feed_deg,))[0]
     return mm_from_m(float(direction.depth_m[0])), float(direction.chatter_hz[0])
+
+
+def depth_at_any_speed(
+    response: SampledResponse, cut: Cut, *, feeds_deg: Sequence[float], highest_rpm: float
+) -> tuple[float, float]:
+    """Return the depth [mm] up to which no speed chatters, and where the first would [Hz]; inf and NaN if none can.
+
+    The lower of two: a share of the lowest point of the zeroth-order lobes, and the depth of the whole cutting force,
+    without projection, on as many teeth as cut on average along the most negative real part of either axis.
+
+    `response`: receptance at the tool point. `cut`: engagement and cutting coefficients. `feeds_deg`: directions of the
+    feed against X [deg]. `highest_rpm`: highest speed [1/min].
+    """
+    slow = response.frequency_hz < MANY_WAVES * tooth_passing_hz(highest_rpm, cut.teeth)
+    shares = np.where(slow, FLIP_SHARE, CERTAIN_SHARE)
+    eigenvalues = [_eigenvalues(response.receptance, cut, feed_deg).real.max(axis=1) for feed_deg in feeds_deg]
+    teeth_cutting = cut.teeth * (cut.exit_rad - cut.start_rad) / (2.0 * math.pi)
+    along = -2.0 * teeth_cutting * math.hypot(1.0, cut.radial_ratio) * response.receptance[:, [0, 1], [0, 1]].real
+    real = np.max([*(found / shares for found in eigenvalues), *along.T], axis=0)
+    place = int(np.argmax(real))
+    if real[place] <= 0.0:
+        return math.inf, math.nan
+    return mm_from_m(1.0 / (cut.tangential_n_per_m2 * float(real[place]))), float(response.frequency_hz[place])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -24,8 +24,10 @@ COARSE = 4
 """Steps between two states, and the ends of physical ranges, are looked at on every fourth frequency."""
 ENDS_STAND_HZ = 0.5
 """They are looked at again when the resonance has moved by this [Hz], or other properties are flagged."""
-WIDE_HZ = np.geomspace(20.0, 10_000.0, 4000)
+WIDE_HZ = np.geomspace(20.0, 50_000.0, 5000)
 """Where resonances are looked for beside the band [Hz], with lines as close as the narrowest of steel are wide."""
+LARGEST_BELOW_HZ = 10_000.0
+"""The largest resonance is one below [Hz]: above, it stands on the damping of the file alone."""
 FARTHEST_WIDTHS = 0.5
 """So far beside the fitted temperatures, in widths of their range, nothing is known of the bearings."""
 REFERENCE_DEGC = 20.0
@@ -124,9 +126,11 @@ class AxisTracker:
         )
         self._ends: tuple[float, tuple[RangeEnds, ...]] = (np.inf, ())
 
-    def _reference(self) -> tuple[EstimatedProperty, ...]:
+    def _reference(self, share: float = 0.5) -> tuple[EstimatedProperty, ...]:
         count, seen = len(self.regression.signals), self.regression.fitted_range
-        degc = np.full(count, REFERENCE_DEGC) if seen is None else 0.5 * (seen.lowest_degc + seen.highest_degc)
+        degc = np.full(count, REFERENCE_DEGC)
+        if seen is not None:
+            degc = seen.lowest_degc + share * (seen.highest_degc - seen.lowest_degc)
         return self.regression.estimate(degc, dict.fromkeys(self.regression.intervals_min, np.zeros(count)))
 
     def beside_the_band(self) -> float | None:
@@ -134,16 +138,27 @@ class AxisTracker:
 
         The real part of the receptance spans as much over a resonance as this one limits the depth of cut.
         """
-        properties = properties_from_parameters(self.parameters(self._reference()))
-        real = CondensedAssembly(self._assembly, WIDE_HZ).receptance(properties).real
+        real = self.receptances_at(WIDE_HZ)[1].real
         low_hz, high_hz = self._condensed.frequency_hz[[0, -1]]
-        below, above = low_hz > WIDE_HZ, high_hz < WIDE_HZ
-        within = ~(below | above)
+        below, above = low_hz > WIDE_HZ, (high_hz < WIDE_HZ) & (WIDE_HZ <= LARGEST_BELOW_HZ)
+        within = (low_hz <= WIDE_HZ) & (high_hz >= WIDE_HZ)
         inside = np.ptp(real[within]) if within.any() else 0.0
         for beside in (below, above):
             if beside.any() and np.ptp(real[beside]) > inside:
                 return float(WIDE_HZ[beside][np.argmin(real[beside])])
         return None
+
+    def receptances_at(self, frequency_hz: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Return the receptance at any frequencies [Hz], shape (n,), at lowest, middle and highest fitted temperatures.
+
+        Result: three of the shape (n,) [m/N].
+        """
+        condensed = CondensedAssembly(self._assembly, frequency_hz)
+        lowest, middle, highest = (
+            condensed.receptance(properties_from_parameters(self.parameters(self._reference(share))))
+            for share in (0.0, 0.5, 1.0)
+        )
+        return lowest, middle, highest
 
     def parameters(self, properties: Sequence[EstimatedProperty]) -> dict[str, float]:
         """Return all bearing parameters: those regressed, within their bounds, and those fixed."""

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from control_rig import HandClock, running
@@ -13,17 +14,24 @@ from speed_rig import CUT, SAFE, SpeedRig, turned
 
 from config.loader import parse_yaml_model
 from config.machine.spindle import load_spindle, spindle_folder
+from config.machine.spindle_chain import read_spindle
+from config.machine.stability_case import load_stability_case
 from config.schema import Configuration
 from config.schema.base import ConfigurationError
 from config.schema.spindle_speed import SpindleSpeedConfig
 from daemon.checkup.machine import preflight
 from daemon.history.reader import HistoryReader
+from daemon.spindle_speed.messages import CalledOperation
 from daemon.spindle_speed.planning import planned_with
 from drivers.guard.speed_text import SpeedStatus
 from models.errors import StabilityError
 from models.records import WriteOutcome
+from models.spindle_speed.verification import StabilityVerification
+from models.stability.collocation import radius_bounds
+from models.stability.response import SampledResponse
 from models.thermomechanics.artifact import model_to_json
 from models.thermomechanics.regression import Bounds, PropertyRegression, ThermomechanicalModel
+from models.thermomechanics.tool_point import AxisTracker, source_frequencies
 
 bench = turned
 
@@ -56,18 +64,26 @@ def verified_as_shipped(configuration: Configuration) -> None:
 
 
 async def test_a_verified_speed_is_taken_where_there_is_one_and_else_the_programmed_one(tmp_path: Path) -> None:
-    """The lobes of zeroth order are stable to 2.5 mm at 9000 and 3 mm at 10250 1/min; the true limit is 0.9 mm."""
-    bench = SpeedRig(tmp_path, verify_with_sdm=SpindleSpeedConfig.model_fields["verify_with_sdm"].default)
+    """The lobes of zeroth order are stable to 3.4 mm at 9000 1/min; true limits are lower."""
+    tuning = speed_machine(tmp_path).spindle_speed
+    assert tuning is not None
+    stiff = dict.fromkeys(("x", "y"), Path("simulated_machine_16mm"))
+    operations = [tuning.operations[0].model_copy(update={"spindles": stiff})]
+    bench = SpeedRig(
+        tmp_path, operations=operations, verify_with_sdm=SpindleSpeedConfig.model_fields["verify_with_sdm"].default
+    )
     verified_as_shipped(bench.configuration)
     async with running(bench.rig):
         await bench.rig.turn()
-        speed_rpm, _, status = await bench.operation(D=1.1)
+        speed_rpm, _, status = await bench.operation(S=8500.0, D=2.2)
         assert status is SpeedStatus.APPLIED
-        assert 9300.0 < speed_rpm < 9800.0
+        assert 8900.0 < speed_rpm < 9200.0
         assert bench.picture()["alarm"] == ""
         await bench.pass_by(3.0, CUT)
-        assert (await bench.operation(D=2.0))[0] == 9000.0
-        assert "does not die away fast enough; the programmed 9000 1/min stays" in bench.picture()["alarm"]
+        assert (await bench.operation(S=8500.0, D=3.0))[0] == 8500.0
+        assert "does not die away fast enough; the programmed 8500 1/min stays" in bench.picture()["alarm"]
+        assert (await bench.operation(S=8500.0, D=15.0))[0] == 8500.0
+        assert "Hz beside them the tool's response is 0.31 um/N: at 15 mm a cut may chatter" in bench.picture()["alarm"]
 
 
 def test_a_tool_that_the_lobes_do_not_know_needs_the_verification(tmp_path: Path) -> None:
@@ -311,16 +327,41 @@ def test_a_tool_whose_largest_resonance_lies_beside_the_band_is_refused(
         planned_with(with_spindle(tmp_path, shipped), bearing_model())
 
 
+def test_a_cut_that_chatters_beside_the_band_is_refused_and_a_shallow_one_is_not(tmp_path: Path) -> None:
+    """S8725 was verified to 1.4 mm, and within its tolerance the tool chatters at 3.4 kHz, where nobody looked."""
+    shipped = shipped_spindle()
+    shipped["tool"]["segments"][0]["length_mm"] = 38
+    configuration = with_spindle(tmp_path, shipped, verify_with_sdm=True)
+    (planning,) = planned_with(configuration, bearing_model()).values()
+    called = CalledOperation(
+        tool_number=1, program=1, speed_rpm=9000.0, feed_mm_min=1800.0, depth_mm=1.4, radial_mm=0.0
+    )
+    with pytest.raises(StabilityError, match=r"300 to 2500 Hz are computed, and at \d+ Hz .* up to 0.\d+ mm no speed"):
+        planning.planner(called)
+    assert planning.planner(replace(called, depth_mm=0.1))
+    assembly = read_spindle(tmp_path / "spindle.yaml").assembly("tool")
+    tracker = AxisTracker(bearing_model().axes["x"], assembly, source_frequencies())
+    cut = load_stability_case(tmp_path / "case.yaml").cut()
+    highest, within_rpm = [], [8725.0 * share for share in (0.98, 0.99, 1.0, 1.01, 1.02)]
+    for end_hz in (2500.0, 9000.0):
+        lines_hz = np.arange(300.0, end_hz, 3.0)
+        receptance = tracker.receptances_at(lines_hz)[1][:, None, None] * np.eye(2)
+        modes = StabilityVerification(cut).modes(SampledResponse(frequency_hz=lines_hz, receptance=receptance))
+        highest.append(radius_bounds(modes, cut, feeds_deg=[0.0], speeds_rpm=within_rpm, depth_mm=1.4)[1].max())
+    assert highest[0] < 0.98
+    assert highest[1] > 1.01
+
+
 def shipped_spindle() -> dict[str, Any]:
     return dict(yaml.safe_load((spindle_folder() / "simulated_machine.yaml").read_text("utf-8")))
 
 
-def with_spindle(folder: Path, description: dict[str, Any]) -> Configuration:
+def with_spindle(folder: Path, description: dict[str, Any], **changes: Any) -> Configuration:
     (spindle := folder / "spindle.yaml").write_text(yaml.safe_dump(description), encoding="utf-8")
     tuning = speed_machine(folder).spindle_speed
     assert tuning is not None
     operation = tuning.operations[0].model_copy(update={"spindles": {"x": spindle, "y": spindle}})
-    return speed_machine(folder, operations=[operation])
+    return speed_machine(folder, operations=[operation], **changes)
 
 
 def test_a_spindle_without_the_tool_is_none_of_its_operation(tmp_path: Path) -> None:

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from models.errors import StabilityError
+from models.stability.collocation import radius_bounds
 from models.stability.frf_modal_fit import fit_modes
-from models.stability.lobes_zoa import limiting_depth, lowest_over_feed_directions, zeroth_order_lobes
+from models.stability.lobes_zoa import (
+    depth_at_any_speed,
+    limiting_depth,
+    lowest_over_feed_directions,
+    zeroth_order_lobes,
+)
 from models.stability.milling import (
     Cut,
     MillingMode,
@@ -132,3 +138,31 @@ def test_a_single_speed_has_the_limit_of_the_lobes_or_none() -> None:
     assert found == pytest.approx((lobes.limiting_depth_mm[0], lobes.chatter_hz[0]), rel=1e-3)
     depth_mm, chatter_hz = limiting_depth(sampled, cut, speed_rpm=15000.0)
     assert depth_mm == math.inf and math.isnan(chatter_hz)
+
+
+@pytest.mark.parametrize(
+    ("teeth", "radial_mm", "milling", "y_hz", "highest_rpm"),
+    [
+        (2, 1.0, "down", 3402.0, 24_000.0),
+        (2, 1.0, "up", 3402.0, 150_000.0),
+        (2, 0.5, "down", 3240.0, 200_000.0),
+        (2, 10.0, "slot", None, 200_000.0),
+        (4, 5.0, "up", 3240.0, 20_000.0),
+    ],
+)
+def test_no_speed_chatters_at_a_depth_for_any(
+    teeth: int, radial_mm: float, milling: str, y_hz: float | None, highest_rpm: float
+) -> None:
+    """Flip lobes of thin cuts lie at half of the zeroth order's; the semi-discretisation knows them."""
+    start_rad, exit_rad = engagement_rad(MillingMode(milling), radial_mm, 10.0)
+    cut = Cut(teeth=teeth, start_rad=start_rad, exit_rad=exit_rad, tangential_n_per_m2=8e8, radial_ratio=0.3)
+    along_y = () if y_hz is None else (mode_from_stiffness(y_hz, 0.01, 2.5e7),)
+    modes = ModalResponse(xx=(mode_from_stiffness(3240.0, 0.01, 2.5e7),), yy=along_y)
+    lines_hz = np.geomspace(2500.0, 12_000.0, 2000)
+    sampled = SampledResponse(frequency_hz=lines_hz, receptance=modes.receptance_m_per_n(lines_hz))
+    feeds_deg, speeds_rpm = [0.0, 45.0, 90.0, 135.0], np.geomspace(highest_rpm / 8.0, highest_rpm, 60).tolist()
+    depth_mm, at_hz = depth_at_any_speed(sampled, cut, feeds_deg=feeds_deg, highest_rpm=highest_rpm)
+    assert 3200.0 < at_hz < 3500.0
+    for times, chatters in ((1.0, False), (4.5, True)):
+        upper = radius_bounds(modes, cut, feeds_deg=feeds_deg, speeds_rpm=speeds_rpm, depth_mm=times * depth_mm)[1]
+        assert bool((upper >= 1.0).any()) is chatters
