@@ -18,7 +18,7 @@ from config.machine.spindle_chain import read_spindle
 from config.machine.stability_case import load_stability_case
 from config.schema import Configuration
 from config.schema.base import ConfigurationError
-from config.schema.spindle_speed import SpindleSpeedConfig
+from config.schema.spindle_speed import SpeedOperationConfig, SpindleSpeedConfig
 from daemon.checkup.machine import preflight
 from daemon.history.reader import HistoryReader
 from daemon.spindle_speed.messages import CalledOperation
@@ -63,14 +63,20 @@ def verified_as_shipped(configuration: Configuration) -> None:
     assert configuration.spindle_speed.verify_with_sdm
 
 
-async def test_a_verified_speed_is_taken_where_there_is_one_and_else_the_programmed_one(tmp_path: Path) -> None:
-    """The lobes of zeroth order are stable to 3.4 mm at 9000 1/min; true limits are lower."""
+def stiff_operations(tmp_path: Path) -> list[SpeedOperationConfig]:
+    """Return the machine's first operation with a tool that bears some millimetres beside 300 to 2500 Hz too."""
     tuning = speed_machine(tmp_path).spindle_speed
     assert tuning is not None
     stiff = dict.fromkeys(("x", "y"), Path("simulated_machine_16mm"))
-    operations = [tuning.operations[0].model_copy(update={"spindles": stiff})]
+    return [tuning.operations[0].model_copy(update={"spindles": stiff})]
+
+
+async def test_a_verified_speed_is_taken_where_there_is_one_and_else_the_programmed_one(tmp_path: Path) -> None:
+    """The lobes of zeroth order are stable to 3.4 mm at 9000 1/min; true limits are lower."""
     bench = SpeedRig(
-        tmp_path, operations=operations, verify_with_sdm=SpindleSpeedConfig.model_fields["verify_with_sdm"].default
+        tmp_path,
+        operations=stiff_operations(tmp_path),
+        verify_with_sdm=SpindleSpeedConfig.model_fields["verify_with_sdm"].default,
     )
     verified_as_shipped(bench.configuration)
     async with running(bench.rig):
@@ -205,10 +211,10 @@ async def alarms_of(bench: SpeedRig) -> list[str]:
 
 async def test_no_stable_speed_is_one_alarm_whatever_denies_the_speeds(tmp_path: Path) -> None:
     """Lobes and verification put it in other words, in turns as the spindle warms."""
-    bench = SpeedRig(tmp_path, verify_with_sdm=True)
+    bench = SpeedRig(tmp_path, operations=stiff_operations(tmp_path), verify_with_sdm=True)
     async with running(bench.rig):
         await bench.rig.turn()
-        await bench.operation(D=3.5)
+        await bench.operation(S=8500.0, D=3.6)
         said = set()
         for bench.degc in range(28, 37):
             await bench.pass_by(5.0, SAFE)

@@ -245,7 +245,7 @@ def test_doubt_until_the_changes_are_known_and_when_a_signal_is_silent() -> None
         found = tracker.renew(cycle(10.0 * k, warm))
         assert found is not None
         reasons.append(found.inhibit)
-    assert "need 10 min" in reasons[0]
+    assert "need those of 10 min ago, which are missing" in reasons[0]
     assert reasons[-1] == ""
     for k in range(75, 90):
         found = tracker.renew(cycle(10.0 * k, silent))
