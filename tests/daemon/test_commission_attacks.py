@@ -65,6 +65,23 @@ class Obedient(Person):
             self.calls.append(asyncio.create_task(self.call_guard_soon()))
 
 
+def naming(record_file):
+    """Return the change of a configuration that makes this its commissioning record."""
+
+    def change(content):
+        content["compensation"]["commissioning_file"] = str(record_file)
+
+    return change
+
+
+def with_record_of_z(bench):
+    """Return a record of z as it should move, and the change of a configuration that names it."""
+    record_file = bench.directory / "record.json"
+    known = CommissionedAxis(sign=1, scale=1.0, written_um=5.0, measured_um=5.0)
+    save_commissioning(record_for(bench.configuration(), axes={"z": known}), record_file)
+    return record_file, naming(record_file)
+
+
 # --- what the readings show ------------------------------------------------------------
 
 
@@ -115,9 +132,7 @@ async def test_a_record_of_before_that_the_machine_disproves_counts_no_more(benc
     known = CommissionedAxis(sign=sign, scale=scale, written_um=5.0, measured_um=5.0 * sign * scale)
     save_commissioning(record_for(bench.configuration(), axes={"z": known}), record_file)
 
-    def named(content):
-        content["compensation"]["commissioning_file"] = str(record_file)
-
+    named = naming(record_file)
     person = Person(bench)
     assert "doubles the error" in await refused(bench, person, axes=("z",), change=named)
     assert bench.at_rest()
@@ -130,13 +145,7 @@ async def test_a_record_of_before_that_the_machine_disproves_counts_no_more(benc
 async def test_a_record_of_before_counts_no_more_where_another_axis_moves_the_one_it_is_of(bench):
     """What is written for y moves z, so what is written for z moves something else."""
     bench.reset(SWAPPED)
-    record_file = bench.directory / "record.json"
-    known = CommissionedAxis(sign=1, scale=1.0, written_um=5.0, measured_um=5.0)
-    save_commissioning(record_for(bench.configuration(), axes={"z": known}), record_file)
-
-    def named(content):
-        content["compensation"]["commissioning_file"] = str(record_file)
-
+    record_file, named = with_record_of_z(bench)
     person = Person(bench)
     assert "axis z by 5.00 um instead" in await refused(bench, person, axes=("y",), change=named)
     assert not record_file.exists() and "in doubt for axis z, so it counts no more" in person.text_said
@@ -148,9 +157,7 @@ async def test_a_record_that_ships_with_toolpoint_is_refused_and_stays(bench):
     record_file = shipped_file("simulated_machine_commissioning.json")
     before = record_file.read_bytes()
 
-    def named(content):
-        content["compensation"]["commissioning_file"] = str(record_file)
-
+    named = naming(record_file)
     try:
         assert "ships with Toolpoint and stays as it is: copy it" in await refused(bench, axes=("z",), change=named)
         assert bench.writes() == [] and record_file.read_bytes() == before
@@ -163,13 +170,7 @@ async def test_a_record_that_ships_with_toolpoint_is_refused_and_stays(bench):
 async def test_a_record_of_before_counts_no_more_where_an_axis_is_proved_to_move_otherwise(bench, wiring, replaces):
     """He accepts what z does now; then another axis is given up, or the new record lies beside the one of before."""
     bench.reset(wiring)
-    record_file = bench.directory / "record.json"
-    known = CommissionedAxis(sign=1, scale=1.0, written_um=5.0, measured_um=5.0)
-    save_commissioning(record_for(bench.configuration(), axes={"z": known}), record_file)
-
-    def named(content):
-        content["compensation"]["commissioning_file"] = str(record_file)
-
+    record_file, named = with_record_of_z(bench)
     person = Person(bench)
     plan = {"accept_reversed": frozenset("z"), "change": named}
     if replaces:
@@ -200,9 +201,7 @@ async def test_a_record_of_before_counts_no_more_where_a_person_breaks_the_proof
             raise asyncio.CancelledError
         return None if question in text else await number(person, text)
 
-    def named(content):
-        content["compensation"]["commissioning_file"] = str(record_file)
-
+    named = naming(record_file)
     person.number, person.denies = breaks_off, question
     with pytest.raises(asyncio.CancelledError if way == "Ctrl-C" else CommissioningRefusedError):
         await bench.commission(person, axes=("z",), change=named, sources=Sources(given=given))
@@ -226,9 +225,7 @@ async def test_a_record_of_before_counts_on_where_the_proof_is_broken_off_before
                 bench.call_guard()  # in the moment in which he presses Ctrl-C: no look has seen it yet
             raise asyncio.CancelledError
 
-    def named(content):
-        content["compensation"]["commissioning_file"] = str(record_file)
-
+    named = naming(record_file)
     person.on_say = breaks_off
     with pytest.raises(asyncio.CancelledError):
         await bench.commission(person, axes=("z",), change=named)
